@@ -1,0 +1,175 @@
+"""A photogrammetric block: cameras, images, object points and everything observed.
+
+Structure and values are apart. `Structure` (names, who sees what, which elements are unknown) is host data and static
+under jit; the values (coordinates, angles, interior elements, observations and their sigmas) are the leaves of `Block`,
+a pytree. So an adjustment can be traced, differentiated and vmapped in every value.
+
+Units: object coordinates and image coordinates in the user's units, angles in radians.
+"""
+
+from dataclasses import dataclass, field
+from functools import cached_property
+
+import equinox as eqx
+import jax
+import numpy as np
+from jaxtyping import Array, Bool, Float, Int
+
+from jaxbundle.block.observations import ObservationGroup
+from jaxbundle.camera.model import CameraModel, mixture
+from jaxbundle.geometry.rotation import OMEGA_PHI_KAPPA, RotationSystem
+
+CENTRE_ELEMENTS = ("X0", "Y0", "Z0")
+
+
+@dataclass(frozen=True)
+class Camera:
+    """One camera's host data. `image_unit` "px" (v down) or "mm" (y up); sizes in px, None where unknown."""
+
+    name: str
+    model: CameraModel
+    image_unit: str = "px"
+    width: int | None = None
+    height: int | None = None
+    metric: bool = False  # a px camera whose principal distance is in mm: it has a pixel size
+
+
+@dataclass(frozen=True)
+class Datum:
+    """What fixes origin, axes and scale.
+
+    `kind`: "control" (control points and observed stations), "fixed" (elements the user holds), "minimal" (7 elements
+    chosen by the package), "open" (nothing yet). `held` names (image, element).
+    """
+
+    kind: str
+    held: tuple[tuple[str, str], ...] = ()
+
+    def __str__(self) -> str:
+        if not self.held:
+            return {"control": "control points and observed stations", "open": "none"}.get(self.kind, self.kind)
+        elements: dict[str, list[str]] = {}
+        for image, element in self.held:
+            elements.setdefault(image, []).append(element)
+        held = "; ".join(f"image {image}: {', '.join(names)}" for image, names in elements.items())
+        return f"{self.kind}, held at their approximate values: {held}"
+
+
+@dataclass(frozen=True, eq=False)
+class Structure:
+    """Names, incidences and which elements are unknown. Compared by identity: static under jit.
+
+    `exterior_free` orders X0, Y0, Z0 and the three angles of `rotation_system`; `interior_free` orders the elements of
+    each camera's model, padded with False.
+    """
+
+    name: str
+    cameras: tuple[Camera, ...]
+    image_names: tuple[str, ...]
+    point_names: tuple[str, ...]
+    image_camera: Int[np.ndarray, " image"]
+    ray_image: Int[np.ndarray, " ray"]
+    ray_point: Int[np.ndarray, " ray"]
+    exterior_free: Bool[np.ndarray, "image 6"]
+    interior_free: Bool[np.ndarray, "camera element"]
+    point_free: Bool[np.ndarray, "point 3"]
+    check_point: Int[np.ndarray, " check"]
+    datum: Datum = Datum("open")
+    rotation_system: RotationSystem = OMEGA_PHI_KAPPA
+    object_unit: str = "m"
+    angle_unit: str = "deg"
+    source: str = ""
+    notes: tuple[str, ...] = field(default=())  # what reading the block left out, in words
+
+    @property
+    def exterior_elements(self) -> tuple[str, ...]:
+        """X0, Y0, Z0 and the names of the angles."""
+        return (*CENTRE_ELEMENTS, *self.rotation_system.angles)
+
+    @cached_property
+    def model(self) -> CameraModel:
+        """The one camera model of all rays; where cameras differ, their mixture."""
+        return mixture(tuple(camera.model for camera in self.cameras))
+
+    @cached_property
+    def interior_columns(self) -> tuple[int, ...]:
+        """Positions of the interior elements that some camera estimates."""
+        return tuple(int(k) for k in np.nonzero(self.interior_free.any(0))[0])
+
+    @property
+    def unknowns(self) -> int:
+        """N: number of unknown elements."""
+        return int(self.exterior_free.sum() + self.interior_free.sum() + self.point_free.sum())
+
+
+class ExteriorOrientation(eqx.Module):
+    """Projection centres in the object system, angles in radians in the block's rotation system."""
+
+    projection_centre: Float[Array, "image 3"]
+    angles: Float[Array, "image 3"]
+
+
+class InteriorOrientation(eqx.Module):
+    """Interior elements of every camera, in the order of its model, padded with ones."""
+
+    elements: Float[Array, "camera element"]
+
+
+class Rays(eqx.Module):
+    """Measured image coordinates and their standard deviations, unit of the camera's rays."""
+
+    coordinates: Float[Array, "ray 2"]
+    sigmas: Float[Array, "ray 2"]
+
+
+class CheckPoints(eqx.Module):
+    """Known coordinates that take no part in the adjustment; NaN where a coordinate is not known."""
+
+    coordinates: Float[Array, "check 3"]
+    sigmas: Float[Array, "check 3"]
+
+
+class Block(eqx.Module):
+    """A block: structure (static) and values (leaves). `object_points` and orientations are approximate or adjusted."""
+
+    structure: Structure = eqx.field(static=True)
+    exterior: ExteriorOrientation
+    interior: InteriorOrientation
+    object_points: Float[Array, "point 3"]
+    rays: Rays
+    groups: tuple[ObservationGroup, ...]
+    check_points: CheckPoints
+
+    @property
+    def observations(self) -> int:
+        """M: number of observed values."""
+        return 2 * len(self.structure.ray_image) + sum(group.count for group in self.groups)
+
+    @property
+    def redundancy(self) -> int:
+        """M - N."""
+        return self.observations - self.structure.unknowns
+
+    @property
+    def concrete(self) -> bool:
+        """Whether the values are numbers, not tracers of a jit, grad or vmap."""
+        return not any(isinstance(leaf, jax.core.Tracer) for leaf in jax.tree.leaves(self))
+
+    def moved(self, shift: Float[Array, "3"]) -> "Block":
+        """The same block in an object system whose origin lies at -shift: every coordinate grows by `shift`."""
+        groups = tuple(
+            eqx.tree_at(lambda g: g.values, group, group.values + shift)
+            if group.structure.kind.in_object_system
+            else group
+            for group in self.groups
+        )
+        return eqx.tree_at(
+            lambda b: (b.exterior.projection_centre, b.object_points, b.groups, b.check_points.coordinates),
+            self,
+            (
+                self.exterior.projection_centre + shift,
+                self.object_points + shift,
+                groups,
+                self.check_points.coordinates + shift,
+            ),
+        )

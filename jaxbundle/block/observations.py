@@ -1,0 +1,96 @@
+"""Observations that are no image points: group III of the adjustment.
+
+A kind of observation is one differentiable function of the unknowns it touches and of its observed values,
+
+    residual(touched_1, touched_2, ..., observed) -> (v_1, ..., v_k),        v = computed - observed
+
+written for one member, scalars in and scalars out; autodiff gives its rows of the design matrix. A touched entity comes
+as
+
+    "point"   (X, Y, Z)
+    "image"   (projection centre (X0, Y0, Z0), rotation (a1 ... c3))
+    "camera"  (interior element, ...) in the order of the camera's model
+
+Nothing else in the package knows how many kinds there are.
+"""
+
+from collections.abc import Callable
+from dataclasses import dataclass
+
+import equinox as eqx
+import jax.numpy as jnp
+import numpy as np
+from jaxtyping import Array, Bool, Float, Int
+
+from jaxbundle.camera.collinearity import Vector
+from jaxbundle.geometry.rotation import Rotation, Scalar
+
+
+@dataclass(frozen=True)
+class ObservationKind:
+    """`name` is the table's; `in_object_system`: observed values are object coordinates and move with the origin."""
+
+    name: str
+    components: tuple[str, ...]
+    touches: tuple[str, ...]
+    residual: Callable[..., tuple[Scalar, ...]]
+    in_object_system: bool = False
+
+
+@dataclass(frozen=True, eq=False)
+class GroupStructure:
+    """Who each member touches, and which of its components are observed. Compared by identity: static under jit."""
+
+    kind: ObservationKind
+    indices: Int[np.ndarray, "member touched"]
+    observed: Bool[np.ndarray, "member component"]
+
+
+class ObservationGroup(eqx.Module):
+    """All observations of one kind: structure (static) and values. What is not observed has sigma 1 and no weight."""
+
+    structure: GroupStructure = eqx.field(static=True)
+    values: Float[Array, "member component"]
+    sigmas: Float[Array, "member component"]
+
+    @property
+    def weights(self) -> Float[Array, "member component"]:
+        """Square roots of the weights: 1/sigma, 0 where nothing is observed."""
+        return jnp.where(jnp.asarray(self.structure.observed), 1 / self.sigmas, 0.0)
+
+    @property
+    def count(self) -> int:
+        """Number of observations."""
+        return int(self.structure.observed.sum())
+
+
+def _coordinates(point: Vector, observed: Vector) -> Vector:
+    return point[0] - observed[0], point[1] - observed[1], point[2] - observed[2]
+
+
+def _projection_centre(image: tuple[Vector, Rotation], observed: Vector) -> Vector:
+    return _coordinates(image[0], observed)
+
+
+def _distance(start: Vector, end: Vector, observed: tuple[Scalar]) -> tuple[Scalar]:
+    squared = sum((b - a) ** 2 for a, b in zip(start, end, strict=True))
+    return (jnp.sqrt(squared) - observed[0],)
+
+
+CONTROL = ObservationKind("control", ("X", "Y", "Z"), ("point",), _coordinates, in_object_system=True)
+STATIONS = ObservationKind("stations", ("X0", "Y0", "Z0"), ("image",), _projection_centre, in_object_system=True)
+DISTANCES = ObservationKind("distances", ("distance",), ("point", "point"), _distance)
+
+
+def observation_group(
+    kind: ObservationKind,
+    indices: Int[np.ndarray, "member touched"],
+    values: Float[np.ndarray, "member component"],
+    sigmas: Float[np.ndarray, "member component"],
+) -> ObservationGroup:
+    """A group from tables; NaN marks a component that is not observed."""
+    observed = np.isfinite(values) & np.isfinite(sigmas)
+    structure = GroupStructure(kind, np.asarray(indices, np.int32), observed)
+    return ObservationGroup(
+        structure, jnp.asarray(np.where(observed, values, 0.0)), jnp.asarray(np.where(observed, sigmas, 1.0))
+    )

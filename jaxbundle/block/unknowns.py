@@ -1,0 +1,126 @@
+"""The unknowns of the adjustment and their corrections.
+
+Attitudes are matrices; their corrections are small angles (alpha, omega, kappa) about the matrix reached so far,
+
+    R = R_ref R(alpha, omega, kappa),
+
+so no attitude is singular. Only where a datum holds one or two angles of an image is that image corrected in the user's
+own angles, which then must be regular there.
+
+Arrays have the component first and the long axis last.
+"""
+
+from collections.abc import Callable
+
+import equinox as eqx
+import jax
+import jax.numpy as jnp
+import numpy as np
+from jaxtyping import Array, Bool, Float
+
+from jaxbundle.block.block import Block, ExteriorOrientation, InteriorOrientation, Structure
+from jaxbundle.geometry import rotation
+from jaxbundle.geometry.rotation import Angles, Rotation, RotationSystem
+
+
+class Unknowns(eqx.Module):
+    """Approximate or adjusted values of everything that may be unknown; rotations object_from_image, rows a, b, c."""
+
+    rotation: Float[Array, "9 image"]
+    centre: Float[Array, "3 image"]
+    interior: Float[Array, "element camera"]
+    points: Float[Array, "3 point"]
+
+
+class Correction(eqx.Module):
+    """Corrections of the unknowns: X0, Y0, Z0 and three angles an image; 0 for what is held."""
+
+    exterior: Float[Array, "6 image"]
+    interior: Float[Array, "element camera"]
+    points: Float[Array, "3 point"]
+
+
+def unknowns_of(block: Block) -> Unknowns:
+    """The approximate values of a block."""
+    system = block.structure.rotation_system
+    interior = block.interior.elements.T
+    models = tuple(dict.fromkeys(camera.model for camera in block.structure.cameras))
+    if len(models) > 1:  # the mixture's last element tells the kind
+        kind = np.array([[models.index(camera.model) for camera in block.structure.cameras]], float)
+        interior = jnp.concatenate([interior, jnp.asarray(kind)])
+    return Unknowns(
+        jnp.stack(system.rotation_from_angles(*block.exterior.angles.T)),
+        block.exterior.projection_centre.T,
+        interior,
+        block.object_points.T,
+    )
+
+
+def with_unknowns(block: Block, unknowns: Unknowns) -> Block:
+    """The block with these values in place of its own."""
+    elements = block.interior.elements.shape[1]
+    angles = block.structure.rotation_system.angles_from_rotation(tuple(unknowns.rotation))
+    return eqx.tree_at(
+        lambda b: (b.exterior, b.interior, b.object_points),
+        block,
+        (
+            ExteriorOrientation(unknowns.centre.T, jnp.stack(angles, -1)),
+            InteriorOrientation(unknowns.interior[:elements].T),
+            unknowns.points.T,
+        ),
+    )
+
+
+def corrected_in_angles(structure: Structure) -> Bool[np.ndarray, " image"]:
+    """Images of which one or two angles are held: they are corrected in the user's angles."""
+    free = structure.exterior_free[:, 3:].sum(1)
+    return (free > 0) & (free < 3)
+
+
+def _small_rotation(reference: Rotation, alpha: Array, omega: Array, kappa: Array) -> Rotation:
+    return rotation.product(reference, rotation.from_alpha_omega_kappa(alpha, omega, kappa))
+
+
+def _columns(rotation_from_angles: Callable[..., Rotation], angles: Angles) -> Float[Array, "9 3 image"]:
+    """Derivatives of the nine elements with respect to each of three angles, image by image."""
+    one, zero = jnp.ones_like(angles[0]), jnp.zeros_like(angles[0])
+    units = ((one, zero, zero), (zero, one, zero), (zero, zero, one))
+    return jnp.stack([jnp.stack(jax.jvp(rotation_from_angles, angles, unit)[1]) for unit in units], 1)
+
+
+def attitude_derivatives(
+    matrix: Float[Array, "9 image"], in_angles: Bool[Array, " image"], system: RotationSystem
+) -> Float[Array, "9 3 image"]:
+    """Derivatives of the rotation matrices with respect to the three angles their corrections are made in."""
+    zero = (jnp.zeros_like(matrix[0]),) * 3
+    small = _columns(lambda *angles: _small_rotation(tuple(matrix), *angles), zero)
+    own = _columns(system.rotation_from_angles, system.angles_from_rotation(tuple(matrix)))
+    return jnp.where(in_angles, own, small)
+
+
+def corrected(
+    unknowns: Unknowns, correction: Correction, in_angles: Bool[Array, " image"], system: RotationSystem
+) -> Unknowns:
+    """The unknowns after a correction."""
+    angles = tuple(correction.exterior[3:])
+    small = jnp.stack(_small_rotation(tuple(unknowns.rotation), *angles))
+    reference = system.angles_from_rotation(tuple(unknowns.rotation))
+    own = jnp.stack(system.rotation_from_angles(*(a + d for a, d in zip(reference, angles, strict=True))))
+    return Unknowns(
+        jnp.where(in_angles, own, small),
+        unknowns.centre + correction.exterior[:3],
+        unknowns.interior + correction.interior,
+        unknowns.points + correction.points,
+    )
+
+
+def angle_derivatives(
+    matrix: Float[Array, "9 image"], in_angles: Bool[Array, " image"], system: RotationSystem
+) -> Float[Array, "3 3 image"]:
+    """Derivatives of the user's angles (rows) with respect to the angles of the corrections (columns).
+
+    Not finite at the singular attitude of the user's system, where the outer two angles are not determined.
+    """
+    zero = (jnp.zeros_like(matrix[0]),) * 3
+    small = _columns(lambda *k: system.angles_from_rotation(_small_rotation(tuple(matrix), *k)), zero)
+    return jnp.where(in_angles, jnp.eye(3)[:, :, None], small)

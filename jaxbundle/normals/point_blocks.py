@@ -1,0 +1,56 @@
+"""The 3 x 3 normal matrix of an object point, written out: V = L L^T.
+
+All quantities are scalars, which may be arrays of any one shape. The inverse of a pivot is kept instead of the pivot;
+where it is 0 the coordinate is held: its correction is 0 and it touches nothing.
+"""
+
+from typing import NamedTuple
+
+import jax.numpy as jnp
+from jax import lax
+
+from jaxbundle.camera.collinearity import Vector
+from jaxbundle.geometry.rotation import Scalar
+
+Symmetric = tuple[Scalar, Scalar, Scalar, Scalar, Scalar, Scalar]  # 00, 01, 02, 11, 12, 22
+
+
+class PointFactor(NamedTuple):
+    """Inverse pivots and the off-diagonal elements of L."""
+
+    i0: Scalar
+    i1: Scalar
+    i2: Scalar
+    l10: Scalar
+    l20: Scalar
+    l21: Scalar
+
+
+def factorise(v: Symmetric, free: Vector) -> PointFactor:
+    """Cholesky factor of V; `free` is true where the coordinate is unknown. Not finite where V is not positive."""
+
+    def inverse_root(pivot: Scalar, free: Scalar) -> Scalar:
+        return jnp.where(free, lax.rsqrt(jnp.where(free, pivot, 1.0)), 0.0)
+
+    i0 = inverse_root(v[0], free[0])
+    l10, l20 = v[1] * i0, v[2] * i0
+    i1 = inverse_root(v[3] - l10 * l10, free[1])
+    l21 = (v[4] - l20 * l10) * i1
+    i2 = inverse_root(v[5] - l20 * l20 - l21 * l21, free[2])
+    return PointFactor(i0, i1, i2, l10, l20, l21)
+
+
+def forward(f: PointFactor, b: Vector) -> Vector:
+    """L^-1 b."""
+    y0 = b[0] * f.i0
+    y1 = (b[1] - f.l10 * y0) * f.i1
+    y2 = (b[2] - f.l20 * y0 - f.l21 * y1) * f.i2
+    return y0, y1, y2
+
+
+def backward(f: PointFactor, y: Vector) -> Vector:
+    """L^-T y."""
+    x2 = y[2] * f.i2
+    x1 = (y[1] - f.l21 * x2) * f.i1
+    x0 = (y[0] - f.l10 * x1 - f.l20 * x2) * f.i0
+    return x0, x1, x2

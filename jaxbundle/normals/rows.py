@@ -1,0 +1,106 @@
+"""Rows of the design matrix, by autodiff of the image equation and of the observation kinds.
+
+    v = A dt + B dX        A: six elements of the image (X0, Y0, Z0, three angles), then the estimated interior elements
+                           B: X, Y, Z of the object point
+
+What depends on the image alone, the rotation matrix, is differentiated once an image; two vector-Jacobian products a
+ray give the rest. All quantities are scalars, which may be arrays of any one shape.
+"""
+
+from typing import NamedTuple
+
+import jax
+import jax.numpy as jnp
+from jaxtyping import Array, Float
+
+from jaxbundle.block.residuals import Group, touched_values
+from jaxbundle.block.unknowns import Unknowns
+from jaxbundle.camera.collinearity import Vector, photo_vector
+from jaxbundle.camera.model import CameraModel, ImagePoint
+from jaxbundle.geometry.rotation import Rotation, Scalar
+
+
+class RayRows(NamedTuple):
+    """Weighted residual and rows of one image point: index 0 is x, index 1 is y."""
+
+    residual: ImagePoint
+    image: tuple[list[Scalar], list[Scalar]]
+    point: tuple[Vector, Vector]
+
+
+class ImageScalars(NamedTuple):
+    """What a ray takes from its image: rotation, its derivatives by three angles, centre, all interior elements."""
+
+    rotation: Rotation
+    rotation_derivatives: tuple[Rotation, Rotation, Rotation]
+    centre: Vector
+    interior: tuple[Scalar, ...]
+
+
+def ray_rows(
+    model: CameraModel,
+    columns: tuple[int, ...],
+    image: ImageScalars,
+    point: Vector,
+    measured: ImagePoint,
+    weights: ImagePoint,
+) -> RayRows:
+    """Residual and rows of a ray, times the square roots of its weights; `columns`: estimated interior elements."""
+
+    def equation(rotation: Rotation, estimated: tuple[Scalar, ...], point: Vector) -> ImagePoint:
+        interior = list(image.interior)
+        for column, value in zip(columns, estimated, strict=True):
+            interior[column] = value
+        return model.residual(tuple(interior), photo_vector(rotation, image.centre, point), measured)
+
+    estimated = tuple(image.interior[column] for column in columns)
+    v, transposed = jax.vjp(equation, image.rotation, estimated, point)
+    zero = jnp.zeros_like(weights[0])
+    image_rows, point_rows = [], []
+    for unit in ((weights[0], zero), (zero, weights[1])):
+        by_rotation, by_interior, by_point = transposed(unit)
+        by_angles = [chained(by_rotation, turn) for turn in image.rotation_derivatives]
+        # the equation contains X - X0 only
+        image_rows.append([*(-b for b in by_point), *by_angles, *by_interior])
+        point_rows.append(by_point)
+    residual = v[0] * weights[0], v[1] * weights[1]
+    return RayRows(residual, (image_rows[0], image_rows[1]), (point_rows[0], point_rows[1]))
+
+
+def chained(by_rotation: Rotation, turn: Rotation) -> Scalar:
+    """Derivative by an angle from the derivatives by the nine elements of the matrix."""
+    return sum(g * d for g, d in zip(by_rotation, turn, strict=True))
+
+
+class GroupRows(NamedTuple):
+    """Weighted residuals and rows of a group; one entry of `rows` for each touched entity."""
+
+    residuals: Float[Array, "component member"]
+    rows: tuple[Float[Array, "component parameter member"], ...]
+
+
+def group_rows(
+    group: Group,
+    unknowns: Unknowns,
+    rotation_derivatives: Float[Array, "9 3 image"],
+    columns: tuple[int, ...],
+) -> GroupRows:
+    """Residuals and rows of a group of observations, times the square roots of their weights."""
+    touches, index, weights = group.kind.touches, group.indices, group.weights
+    touched = tuple(touched_values(unknowns, kind, i) for kind, i in zip(touches, index, strict=True))
+
+    def residual(*touched: tuple) -> tuple[Scalar, ...]:
+        return group.kind.residual(*touched, tuple(group.values))
+
+    v, transposed = jax.vjp(residual, *touched)
+    rows: list[list[Array]] = [[] for _ in touches]
+    for k in range(len(v)):
+        cotangent = tuple(weights[j] if j == k else jnp.zeros_like(weights[j]) for j in range(len(v)))
+        for entity, (kind, g) in enumerate(zip(touches, transposed(cotangent), strict=True)):
+            if kind == "image":
+                turns = rotation_derivatives[:, :, index[entity]]
+                g = (*g[0], *(chained(g[1], tuple(turns[:, a])) for a in range(3)))
+            elif kind == "camera":
+                g = tuple(g[column] for column in columns)
+            rows[entity].append(jnp.stack(g) if g else jnp.zeros((0, *weights[0].shape)))
+    return GroupRows(jnp.stack(v) * weights, tuple(jnp.stack(row) for row in rows))

@@ -1,0 +1,164 @@
+"""The answer of an adjustment: adjusted block, residuals, sigma0, cofactors and what follows from them."""
+
+from enum import IntEnum
+from typing import NamedTuple
+
+import equinox as eqx
+import jax.numpy as jnp
+from jaxtyping import Array, Float, Int
+
+from jaxbundle.block.block import Block
+
+
+class Status(IntEnum):
+    """How the iterations ended."""
+
+    MAXIMUM_ITERATIONS = 0
+    CONVERGED = 1
+    SINGULAR = 2
+    DIVERGED = 3
+    STALLED = 4
+    INTERRUPTED = 5
+
+    @property
+    def words(self) -> str:
+        """The status as a sentence's end."""
+        return {
+            Status.CONVERGED: "converged",
+            Status.MAXIMUM_ITERATIONS: "ended at the maximum number of iterations, not converged",
+            Status.SINGULAR: "ended at a singular normal matrix, not converged",
+            Status.DIVERGED: "diverged",
+            Status.STALLED: "ended where no step reduces the residuals any more, not converged",
+            Status.INTERRUPTED: "was interrupted, not converged: the last accepted unknowns are kept",
+        }[self]
+
+
+class Iterations(NamedTuple):
+    """How the solve went. `measure` is the stopping rule's number at the last accepted step."""
+
+    status: Int[Array, ""]
+    trials: Int[Array, ""]
+    accepted: Int[Array, ""]
+    initial_cost: Float[Array, ""]
+    final_cost: Float[Array, ""]
+    measure: Float[Array, ""]
+
+
+class BlockCofactors(NamedTuple):
+    """Blocks of the cofactor matrix; angles of the user's rotation system in radians; 0 for what is held."""
+
+    exterior: Float[Array, "image 6 6"]
+    interior: Float[Array, "camera element element"]
+    object_points: Float[Array, "point 3 3"]
+
+
+class StandardDeviations(NamedTuple):
+    """A-posteriori standard deviations, angles in radians; 0 for what is held."""
+
+    projection_centre: Float[Array, "image 3"]
+    angles: Float[Array, "image 3"]
+    interior: Float[Array, "camera element"]
+    object_points: Float[Array, "point 3"]
+
+
+class Adjustment(eqx.Module):
+    """An adjusted block. `residuals`: rays first (unit of the rays, y up), then every group of `block.groups`.
+
+    `cofactors` is None where no standard deviations were asked for. A pytree: jit, grad and vmap go through it.
+    """
+
+    block: Block
+    residuals: tuple[Float[Array, "member component"], ...]
+    weighted_residuals: tuple[Float[Array, "member component"], ...]
+    cofactors: BlockCofactors | None
+    iterations: Iterations
+    stopping_rule: str = eqx.field(static=True)
+    method: str = eqx.field(static=True)
+    undetermined: tuple[str, ...] = eqx.field(static=True, default=())
+
+    @property
+    def observations(self) -> int:
+        """M."""
+        return self.block.observations
+
+    @property
+    def unknowns(self) -> int:
+        """N."""
+        return self.block.structure.unknowns
+
+    @property
+    def redundancy(self) -> int:
+        """M - N."""
+        return self.block.redundancy
+
+    @property
+    def vtpv(self) -> Float[Array, ""]:
+        """v^T P v of all observations."""
+        return sum((jnp.sum(v * v) for v in self.weighted_residuals), jnp.asarray(0.0))
+
+    @property
+    def sigma0(self) -> Float[Array, ""]:
+        """A-posteriori standard deviation of unit weight, sqrt(v^T P v / (M - N))."""
+        return jnp.sqrt(self.vtpv / self.redundancy)
+
+    @property
+    def status(self) -> Status:
+        """How the iterations ended (concrete results only)."""
+        return Status(int(self.iterations.status))
+
+    @property
+    def trustworthy(self) -> bool:
+        """Converged, with nothing undetermined."""
+        return self.status is Status.CONVERGED and not self.undetermined
+
+    @property
+    def standard_deviations(self) -> StandardDeviations:
+        """A-posteriori standard deviations of all unknowns.
+
+        Raises: ValueError where none were computed.
+        """
+        if self.cofactors is None:
+            raise ValueError("this adjustment was made without standard deviations: call adjust(..., precision=True)")
+        exterior = self.sigma0 * _roots(self.cofactors.exterior)
+        return StandardDeviations(
+            exterior[:, :3],
+            exterior[:, 3:],
+            self.sigma0 * _roots(self.cofactors.interior),
+            self.sigma0 * _roots(self.cofactors.object_points),
+        )
+
+    @property
+    def interior_correlations(self) -> Float[Array, "camera element element"]:
+        """Correlations of the interior elements of each camera; 0 for held elements.
+
+        Raises: ValueError where no cofactors were computed.
+        """
+        if self.cofactors is None:
+            raise ValueError("this adjustment was made without standard deviations: call adjust(..., precision=True)")
+        root = _roots(self.cofactors.interior)
+        product = root[:, :, None] * root[:, None, :]
+        return jnp.where(product > 0, self.cofactors.interior / jnp.where(product > 0, product, 1.0), 0.0)
+
+    @property
+    def check_differences(self) -> Float[Array, "check 3"]:
+        """Adjusted less known coordinates of the check points; NaN where a coordinate is not known."""
+        return self.block.object_points[self.block.structure.check_point] - self.block.check_points.coordinates
+
+    def summary(self) -> str:
+        """The result in a few lines; the report says the rest."""
+        structure, n = self.block.structure, self.iterations
+        lines = [
+            f"Block {structure.name or '(unnamed)'}: {len(structure.image_names)} images,"
+            f" {len(structure.cameras)} cameras, {len(structure.point_names)} points, {len(structure.ray_image)} rays",
+            f"The adjustment {self.status.words} ({self.method}, {int(n.accepted)} steps of {int(n.trials)} tried,"
+            f" stopping rule {self.stopping_rule}: {float(n.measure):.1e})",
+            f"Observations {self.observations}, unknowns {self.unknowns}, redundancy {self.redundancy}",
+            f"Datum: {structure.datum}",
+            f"vTPv {float(n.initial_cost) * 2:.8g} -> {float(self.vtpv):.8g}, sigma0 {float(self.sigma0):.6g}",
+            *(f"Undetermined: {name}" for name in self.undetermined),
+        ]
+        return "\n".join(lines)
+
+
+def _roots(cofactors: Float[Array, "entity k k"]) -> Float[Array, "entity k"]:
+    return jnp.sqrt(jnp.diagonal(cofactors, axis1=1, axis2=2))

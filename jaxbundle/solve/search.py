@@ -1,0 +1,72 @@
+"""Searches: how long a step to take. A step is a search times the descent of the normal equations.
+
+(N + lambda D) d = -g,   D = diag(N)                     Marquardt's scaling: free of units
+
+rho = (reduction of v^T P v / 2) / (predicted reduction)
+accepted   lambda <- lambda max(1/3, 1 - (2 rho - 1)^3), growth <- 2
+rejected   lambda <- growth lambda, growth <- 2 growth    Nielsen (1999); Madsen, Nielsen, Tingleff (2004), sec. 3.2
+"""
+
+import abc
+from typing import NamedTuple
+
+import equinox as eqx
+import jax.numpy as jnp
+from jaxtyping import Array, Bool, Float
+
+LEAST_RATIO = 1e-3  # of the predicted reduction that an accepted step must reach; Ceres's min_relative_decrease
+
+
+class SearchState(NamedTuple):
+    """`damping` is lambda; `raised`: lambda was raised since the last accepted step."""
+
+    damping: Float[Array, ""]
+    growth: Float[Array, ""]
+    raised: Bool[Array, ""]
+
+
+class AbstractSearch(eqx.Module):
+    """Decides on a trial step and on the damping of the next one."""
+
+    @abc.abstractmethod
+    def first(self) -> SearchState:
+        """State of the first step."""
+
+    @abc.abstractmethod
+    def judge(
+        self, state: SearchState, reduction: Array, predicted: Array, cost: Array, noise: Array
+    ) -> tuple[Bool[Array, ""], SearchState]:
+        """Whether to accept the trial, and the state of the next step. All numbers belong to v^T P v / 2."""
+
+
+class DampedSearch(AbstractSearch):
+    """Levenberg-Marquardt."""
+
+    initial_damping: float = 1e-4
+
+    def first(self) -> SearchState:
+        return SearchState(jnp.asarray(self.initial_damping), jnp.asarray(2.0), jnp.asarray(False))
+
+    def judge(
+        self, state: SearchState, reduction: Array, predicted: Array, cost: Array, noise: Array
+    ) -> tuple[Bool[Array, ""], SearchState]:
+        ratio = reduction / predicted
+        floor = 16 * jnp.finfo(cost.dtype).eps * cost + noise
+        # at the rounding floor the ratio is noise: a full step may pass, a shortened one would creep on for ever
+        at_floor = (jnp.abs(reduction) <= floor) & (jnp.abs(predicted) <= floor) & ~state.raised
+        accepted = (jnp.isfinite(reduction) & (predicted > 0) & (ratio > LEAST_RATIO)) | at_floor
+        factor = jnp.maximum(1 / 3, 1 - (2 * jnp.where(at_floor, 1.0, ratio) - 1) ** 3)
+        damping = state.damping * jnp.where(accepted, factor, state.growth)
+        return accepted, SearchState(damping, jnp.where(accepted, 2.0, 2 * state.growth), ~accepted)
+
+
+class FullStep(AbstractSearch):
+    """Gauss-Newton: every step is taken in full."""
+
+    def first(self) -> SearchState:
+        return SearchState(jnp.asarray(0.0), jnp.asarray(1.0), jnp.asarray(False))
+
+    def judge(
+        self, state: SearchState, reduction: Array, predicted: Array, cost: Array, noise: Array
+    ) -> tuple[Bool[Array, ""], SearchState]:
+        return jnp.isfinite(reduction), state
