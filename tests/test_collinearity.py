@@ -43,6 +43,7 @@ def numpy_residual(name, interior, photo_vector, measured):
 
 
 def residual(model):
+    @jax.jit
     def stacked(interior, photo_vector, measured):
         return jnp.stack(model.residual(tuple(interior), tuple(photo_vector), tuple(measured)))
 
@@ -64,7 +65,7 @@ def test_image_equation_is_the_matrix_equation(matrix, angles):
     p = R.T @ (np.array(POINT) - np.array(CENTRE))
     np.testing.assert_allclose(jnp.stack(photo_vector(rotation, CENTRE, POINT)), p, rtol=1e-13)
     x, y = collinearity(rotation, CENTRE, POINT, 153.2)
-    np.testing.assert_allclose([x, y], -153.2 * p[:2] / p[2], rtol=1e-13)
+    np.testing.assert_allclose(jnp.stack([x, y]), -153.2 * p[:2] / p[2], rtol=1e-13)
 
 
 def test_a_vertical_photograph_shows_east_right_and_north_up():
@@ -83,7 +84,7 @@ def test_arrays_go_through_element_by_element():
     points = jnp.asarray(np.random.default_rng(3).uniform(-100.0, 100.0, (3, 2, 5)))
     x, y = jax.jit(collinearity)(ROTATION, CENTRE, tuple(points), 80.0)
     one = collinearity(ROTATION, CENTRE, tuple(points[:, 1, 3]), 80.0)
-    np.testing.assert_allclose([x[1, 3], y[1, 3]], one, rtol=1e-14)
+    np.testing.assert_allclose([x[1, 3], y[1, 3]], jnp.stack(one), rtol=1e-14)
 
 
 @pytest.mark.parametrize("name", CAMERA_MODELS)
@@ -107,7 +108,7 @@ def test_a_residual_is_computed_minus_observed(name):
 def test_camera_models_have_derivatives(name, argument):
     arguments = [jnp.array(a) for a in (INTERIORS[name], PHOTO_VECTOR, MEASURED[name])]
     model = residual(CAMERA_MODELS[name])
-    forward, reverse = (jacobian(model, argument)(*arguments) for jacobian in (jax.jacfwd, jax.jacrev))
+    forward, reverse = (jax.jit(jacobian(model, argument))(*arguments) for jacobian in (jax.jacfwd, jax.jacrev))
     np.testing.assert_allclose(forward, reverse, rtol=1e-12)
     assert jnp.isfinite(forward).all()
     for k, value in enumerate(arguments[argument]):
@@ -122,7 +123,7 @@ def test_derivatives_are_finite_on_the_axis(name):
     """r = 0: nowhere is a square root of r^2 taken."""
     measured = {"none": (0.012, -0.031), "brown": (1250.0, 840.5), "bal": (0.0, 0.0)}[name]
     arguments = [jnp.array(a) for a in (INTERIORS[name], (0.0, 0.0, -700.0), measured)]
-    for jacobian in jax.jacrev(residual(CAMERA_MODELS[name]), (0, 1, 2))(*arguments):
+    for jacobian in jax.jit(jax.jacrev(residual(CAMERA_MODELS[name]), (0, 1, 2)))(*arguments):
         assert jnp.isfinite(jacobian).all()
 
 
@@ -143,17 +144,18 @@ def test_a_mixture_computes_with_the_right_model(number, name):
     interior, vector, measured = padded(name, number), jnp.array(PHOTO_VECTOR), jnp.array(MEASURED[name])
     assert len(model.elements) == len(interior)
     own = INTERIORS[name]
-    np.testing.assert_array_equal(
-        residual(model)(interior, vector, measured), residual(CAMERA_MODELS[name])(own, PHOTO_VECTOR, MEASURED[name])
+    np.testing.assert_allclose(
+        residual(model)(interior, vector, measured),
+        residual(CAMERA_MODELS[name])(own, PHOTO_VECTOR, MEASURED[name]),
+        rtol=1e-13,
     )
-    jacobian = jax.jacrev(residual(model))(interior, vector, measured)
-    expected = jax.jacrev(residual(CAMERA_MODELS[name]))(jnp.array(own), vector, measured)
+    jacobian = jax.jit(jax.jacrev(residual(model)))(interior, vector, measured)
+    expected = jax.jit(jax.jacrev(residual(CAMERA_MODELS[name])))(jnp.array(own), vector, measured)
     np.testing.assert_allclose(jacobian[:, : len(own)], expected, rtol=1e-13)
     np.testing.assert_array_equal(jacobian[:, len(own) :], 0.0)
 
 
 def test_central_projection_is_undisturbed_by_the_length_of_the_vector():
     px, py, pz = PHOTO_VECTOR
-    np.testing.assert_allclose(
-        central_projection((7 * px, 7 * py, 7 * pz), 60.0), central_projection(PHOTO_VECTOR, 60.0), rtol=1e-14
-    )
+    longer, shorter = central_projection((7 * px, 7 * py, 7 * pz), 60.0), central_projection(PHOTO_VECTOR, 60.0)
+    np.testing.assert_allclose(jnp.stack(longer), jnp.stack(shorter), rtol=1e-14)

@@ -121,7 +121,9 @@ def test_the_same_seed_gives_the_same_table(check):
     assert check.table() != crosscheck(draws=DRAWS, seed=1).table()
 
 
-def test_the_text_fits_a_terminal(check):
+@pytest.mark.parametrize("partials", [None, lambda *_: (0.0,) * 18])
+def test_the_text_fits_a_terminal(partials):
+    check = crosscheck(partials, draws=DRAWS)
     lines = [*check.table().splitlines(), *check.verdict().splitlines()]
     assert max(map(len, lines)) <= 100
     assert all(any(line.startswith(f"{name} d") for line in lines) for name in NAMES)
@@ -149,7 +151,7 @@ def test_partials_take_and_give_scalars(formulas):
 
 def test_a_wrong_number_of_partials_is_told():
     with pytest.raises(ValueError, match="the partials are 17 values; return 18"):
-        crosscheck(lambda *arguments: printed_partials(*arguments)[:17], draws=10)
+        crosscheck(lambda *arguments: printed_partials(*arguments)[:17], draws=DRAWS)
 
 
 def test_no_rays_are_told():

@@ -15,6 +15,7 @@ from jaxtyping import Array, Float, Int
 
 from jaxbundle.block.block import Block
 from jaxbundle.block.unknowns import unknowns_of
+from jaxbundle.camera.model import ImagePoint
 from jaxbundle.geometry import rotation
 
 NEWTON_STEPS = 10  # a correction of the measurement needs one, a strong distortion of the projection about six
@@ -26,13 +27,13 @@ def intersect(block: Block) -> Block:
 
     A coordinate that is given is kept. Points whose rays are parallel, or that have one ray only, stay NaN.
     """
-    points = np.array(block.object_points)
-    missing = ~np.isfinite(points)
-    rays = np.nonzero(missing.any(1)[block.structure.ray_point])[0]
+    points = np.asarray(block.object_points)
+    missing: np.ndarray = np.isnan(points)
+    rays = np.flatnonzero(missing.any(1)[block.structure.ray_point])
     if not len(rays):
         return block
     image = block.structure.ray_image[rays]
-    directions = np.asarray(_directions(block, rays, image))
+    directions = np.asarray(_directions(block, jnp.asarray(rays), jnp.asarray(image)))
     centres = np.asarray(block.exterior.projection_centre).T[:, image]
     closest = _closest_to_rays(directions, centres, block.structure.ray_point[rays], len(points))
     return eqx.tree_at(lambda b: b.object_points, block, jnp.asarray(np.where(missing, closest.T, points)))
@@ -49,7 +50,7 @@ def _directions(block: Block, rays: Int[Array, " ray"], image: Int[Array, " ray"
     measured = tuple(block.rays.coordinates[rays].T)
     one, zero = jnp.ones_like(measured[0]), jnp.zeros_like(measured[0])
 
-    def residual(a: Array, b: Array) -> tuple[Array, Array]:
+    def residual(a: Array, b: Array) -> ImagePoint:
         return structure.model.residual(interior, (a, b, -one), measured)
 
     def step(_: int, vector: tuple[Array, Array]) -> tuple[Array, Array]:

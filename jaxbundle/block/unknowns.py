@@ -59,7 +59,7 @@ def unknowns_of(block: Block) -> Unknowns:
 def with_unknowns(block: Block, unknowns: Unknowns) -> Block:
     """The block with these values in place of its own."""
     elements = block.interior.elements.shape[1]
-    angles = block.structure.rotation_system.angles_from_rotation(tuple(unknowns.rotation))
+    angles = angles_near(tuple(unknowns.rotation), block.exterior.angles.T, block.structure.rotation_system)
     return eqx.tree_at(
         lambda b: (b.exterior, b.interior, b.object_points),
         block,
@@ -114,13 +114,31 @@ def corrected(
     )
 
 
+def angles_near(matrix: Rotation, reference: Float[Array, "3 image"], system: RotationSystem) -> Angles:
+    """The angles of a matrix nearest to the reference: full turns are kept, and the second of the two solutions
+
+    (first + 180 deg, 180 deg - middle, last + 180 deg) is taken where the reference is of that kind.
+    """
+    first, middle, last = system.angles_from_rotation(matrix)
+    solutions = []
+    for angles in ((first, middle, last), (first + jnp.pi, jnp.pi - middle, last + jnp.pi)):
+        turns = [jnp.round((r - a) / (2 * jnp.pi)) for a, r in zip(angles, reference, strict=True)]
+        solutions.append(tuple(a + 2 * jnp.pi * jax.lax.stop_gradient(k) for a, k in zip(angles, turns, strict=True)))
+    one, two = (sum(jnp.abs(a - r) for a, r in zip(angles, reference, strict=True)) for angles in solutions)
+    x, y, z = (jnp.where(one <= two, a, b) for a, b in zip(*solutions, strict=True))
+    return x, y, z
+
+
 def angle_derivatives(
-    matrix: Float[Array, "9 image"], in_angles: Bool[Array, " image"], system: RotationSystem
+    matrix: Float[Array, "9 image"],
+    in_angles: Bool[Array, " image"],
+    reference: Float[Array, "3 image"],
+    system: RotationSystem,
 ) -> Float[Array, "3 3 image"]:
     """Derivatives of the user's angles (rows) with respect to the angles of the corrections (columns).
 
     Not finite at the singular attitude of the user's system, where the outer two angles are not determined.
     """
     zero = (jnp.zeros_like(matrix[0]),) * 3
-    small = _columns(lambda *k: system.angles_from_rotation(_small_rotation(tuple(matrix), *k)), zero)
+    small = _columns(lambda *k: angles_near(_small_rotation(tuple(matrix), *k), reference, system), zero)
     return jnp.where(in_angles, jnp.eye(3)[:, :, None], small)

@@ -1,7 +1,7 @@
 """What must hold of a block before it is adjusted; all that does not is told at once."""
 
 import numpy as np
-from jaxtyping import Int
+from jaxtyping import Bool, Int
 
 from jaxbundle.block.block import Block
 from jaxbundle.block.datum import datum_defect, insufficient, is_located
@@ -10,8 +10,13 @@ from jaxbundle.block.problems import BlockError, Problem
 
 def validate(block: Block) -> list[Problem]:
     """Problems of a block whose values are concrete, in the order in which they are best cured."""
-    problems = [*_unusable_values(block), *_weak_images(block), *_weak_points(block)]
+    problems = [*_unusable_values(block), *_unusable_sigmas(block), *weaknesses(block)]
     return problems or [*_redundancy(block), *_datum(block)]
+
+
+def weaknesses(block: Block) -> list[Problem]:
+    """Images and points with too few observations of their own; values take no part in it."""
+    return [*_weak_images(block), *_weak_points(block)]
 
 
 def require_valid(block: Block) -> None:
@@ -33,26 +38,42 @@ def _observed_of(block: Block, touched: str, size: int) -> Int[np.ndarray, " ent
 
 
 def _unusable_values(block: Block) -> list[Problem]:
+    """Values that are no finite numbers; a weak point has no coordinates for a reason that is told with it."""
     structure = block.structure
+    no_number = "has a value that is no finite number"
+    orientations = np.c_[block.exterior.projection_centre, block.exterior.angles]
+    points = np.where(_is_weak_point(block)[:, None], 0.0, block.object_points)
+    cameras = [f"camera {camera.name}" for camera in structure.cameras]
+    images = [f"image {name}" for name in structure.image_names]
     tables = [
-        ("images", np.c_[block.exterior.projection_centre, block.exterior.angles], "give the image approximate values"),
-        ("cameras", block.interior.elements, "give the camera its interior elements"),
-        ("points", block.object_points, "give the point coordinates, or rays on two images that intersect"),
-        ("rays", block.rays.coordinates, "give both image coordinates or drop the ray"),
-        *((group.structure.kind.name, group.values, "give the value or drop the row") for group in block.groups),
+        ("cameras", block.interior.elements, cameras, no_number, "give the camera its interior elements"),
+        ("images", orientations, images, no_number, "give the image approximate values"),
+        ("rays", block.rays.coordinates, None, no_number, "give both image coordinates or drop the ray"),
+        *((g.structure.kind.name, g.values, None, no_number, "give the value or drop the row") for g in block.groups),
     ]
-    names = {"images": structure.image_names, "points": structure.point_names}
-    problems = []
-    for table, values, cure in tables:
-        for row in np.nonzero(~np.isfinite(np.asarray(values)).all(1))[0]:
-            who = f"{table[:-1]} {names[table][row]}" if table in names else "the row"
-            problems.append(Problem(f"{who} has a value that is no finite number", cure, table, int(row)))
+    problems = [
+        Problem(f"{who[row] if who else 'the row'} {what}", cure, table, int(row))
+        for table, values, who, what, cure in tables
+        for row in np.nonzero(~np.isfinite(np.asarray(values)).all(1))[0]
+    ]
+    return problems + [
+        Problem(
+            f"point {structure.point_names[p]} has no coordinates and its rays do not intersect",
+            "give it approximate coordinates, measure it on an image from elsewhere or drop it",
+            "points",
+            int(p),
+        )
+        for p in np.nonzero(~np.isfinite(points).all(1))[0]
+    ]
+
+
+def _unusable_sigmas(block: Block) -> list[Problem]:
     sigmas = [("rays", block.rays.sigmas), *((group.structure.kind.name, group.sigmas) for group in block.groups)]
-    for table, values in sigmas:
-        values = np.asarray(values)
-        for row in np.nonzero(~(np.isfinite(values) & (values > 0)).all(1))[0]:
-            problems.append(Problem("a sigma is not positive", "give a positive standard deviation", table, int(row)))
-    return problems
+    return [
+        Problem("a sigma is not positive", "give a positive standard deviation", table, int(row))
+        for table, values in sigmas
+        for row in np.nonzero(~(np.isfinite(values) & (np.asarray(values) > 0)).all(1))[0]
+    ]
 
 
 def _weak_images(block: Block) -> list[Problem]:
@@ -61,7 +82,8 @@ def _weak_images(block: Block) -> list[Problem]:
     known = 2 * rays + _observed_of(block, "image", len(rays))
     return [
         Problem(
-            f"image {structure.image_names[i]} has {rays[i]} rays, too few for its {free} unknown elements",
+            f"image {structure.image_names[i]} has {rays[i]} {'ray' if rays[i] == 1 else 'rays'}, "
+            f"too few for its {free} unknown elements",
             "measure at least 3 points on it, better 6, or drop the image",
             "images",
             int(i),
@@ -71,23 +93,26 @@ def _weak_images(block: Block) -> list[Problem]:
     ]
 
 
-def _weak_points(block: Block) -> list[Problem]:
+def _is_weak_point(block: Block) -> Bool[np.ndarray, " point"]:
+    """Points with fewer observations than unknown coordinates."""
     structure = block.structure
     rays = np.bincount(structure.ray_point, minlength=len(structure.point_names))
-    known = 2 * rays + _observed_of(block, "point", len(rays))
-    problems = []
-    for p in np.nonzero(known < structure.point_free.sum(1))[0]:
-        images = {0: "no image", 1: "one image only"}.get(int(rays[p]), f"{rays[p]} images")
-        row = np.nonzero(structure.ray_point == p)[0]
-        problems.append(
-            Problem(
-                f"point {structure.point_names[p]} is seen on {images}",
-                "give it coordinates, measure it on a second image or drop it",
-                "rays" if len(row) else "points",
-                int(row[0]) if len(row) else None,
-            )
+    return 2 * rays + _observed_of(block, "point", len(rays)) < structure.point_free.sum(1)
+
+
+def _weak_points(block: Block) -> list[Problem]:
+    structure = block.structure
+    first_ray = np.full(len(structure.point_names), -1)
+    first_ray[structure.ray_point[::-1]] = np.arange(len(structure.ray_point))[::-1]
+    return [
+        Problem(
+            f"point {structure.point_names[p]} is seen on {'no image' if first_ray[p] < 0 else 'one image only'}",
+            "give it control coordinates, measure it on a second image or drop it",
+            "points" if first_ray[p] < 0 else "rays",
+            int(p if first_ray[p] < 0 else first_ray[p]),
         )
-    return problems
+        for p in np.nonzero(_is_weak_point(block))[0]
+    ]
 
 
 def _redundancy(block: Block) -> list[Problem]:

@@ -1,7 +1,7 @@
 """CSV tables: UTF-8, comma-separated, one header line, decimal point; an empty field is not given.
 
-All fields are text until they are asked for as names or as numbers; what is wrong with them is noted in the user's words,
-with file and line.
+All fields are text until they are asked for as names or as numbers; what is wrong with them is noted in the user's
+words, with file and line.
 """
 
 import csv
@@ -12,9 +12,11 @@ from pathlib import Path
 
 import numpy as np
 import polars as pl
-from jaxtyping import Bool, Float, Int
+from jaxtyping import Float, Int
 
 from jaxbundle.io.findings import Findings
+
+Columns = dict[str, list[str] | Float[np.ndarray, " row"]]
 
 LISTED = 10  # names in one sentence
 
@@ -106,7 +108,9 @@ def listed(names: Sequence[str]) -> str:
 def read_text(path: Path, findings: Findings) -> str | None:
     """The text of a file; None and a note where there is none."""
     if not path.is_file():
-        findings.add(path.name, 0, "the file is missing", "add it to the folder, or drop what refers to it in block.toml")
+        findings.add(
+            path.name, 0, "the file is missing", "add it to the folder, or drop what refers to it in block.toml"
+        )
         return None
     data = path.read_bytes()
     try:
@@ -154,16 +158,14 @@ def _wrong_fields(file: str, line: int, fields: list[str], expected: int, findin
     findings.add(file, line, what, "complete the row or drop it", [field.strip() for field in fields])
 
 
-def _plain(
-    file: str, text: str, header: list[str], findings: Findings
-) -> tuple[pl.DataFrame, Int[np.ndarray, " row"]]:
+def _plain(file: str, text: str, header: list[str], findings: Findings) -> tuple[pl.DataFrame, Int[np.ndarray, " row"]]:
     """Rows of a table without quotes: lines with the right number of commas."""
-    data = text.encode()
+    data = text.rstrip().encode()
     raw = np.frombuffer(data, np.uint8)
     ends = np.append(np.flatnonzero(raw == ord("\n")), len(raw))
     starts = np.append(0, ends[:-1] + 1)
     commas = np.diff(np.searchsorted(np.flatnonzero(raw == ord(",")), ends), prepend=0)
-    right: Bool[np.ndarray, " line"] = commas == len(header) - 1
+    right = commas == len(header) - 1
     for line in np.flatnonzero(~right):
         row = data[starts[line] : ends[line]].decode()
         if row.strip():
@@ -197,6 +199,6 @@ def _quoted(
     return pl.DataFrame(rows, schema=schema, orient="row"), np.array(lines, int)
 
 
-def write_table(path: Path, columns: dict[str, Sequence[str] | np.ndarray]) -> None:
+def write_table(path: Path, columns: Columns) -> None:
     """Writes a table; numbers in the shortest form that reads back the same, NaN as an empty field."""
     pl.DataFrame(columns).with_columns(pl.selectors.float().fill_nan(None)).write_csv(path)

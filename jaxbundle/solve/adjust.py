@@ -141,7 +141,7 @@ def _answer(
     weights = [args.observations.weights, *(group.weights for group in args.observations.groups)]
     computed, weak = None, ()
     if precision:
-        q, computed = _cofactors(unknowns, args.observations, args.plan)
+        q, computed = _cofactors(unknowns, args.observations, args.plan, block.exterior.angles.T)
         if block.concrete:
             weak = undetermined_unknowns(block, unknowns, args, q)
     return Adjustment(
@@ -164,14 +164,16 @@ def _residuals(unknowns: Unknowns, observations: Observations) -> tuple[Array, .
 
 
 @eqx.filter_jit
-def _cofactors(unknowns: Unknowns, observations: Observations, plan: Plan) -> tuple[Cofactors, BlockCofactors]:
-    """Cofactors of all unknowns, the angles turned into those of the user's rotation system."""
+def _cofactors(
+    unknowns: Unknowns, observations: Observations, plan: Plan, reference: Float[Array, "3 image"]
+) -> tuple[Cofactors, BlockCofactors]:
+    """Cofactors of all unknowns, the angles turned into those of the user's rotation system (near the reference)."""
     o = observations
     q = cofactors(schur.tables(unknowns, o), plan)
     images, cameras, columns = o.exterior_free.shape[1], o.interior_free.shape[1], len(o.columns)
     of_image = 6 * jnp.arange(images)[:, None] + jnp.arange(6)
     exterior = q.kept[of_image[:, :, None], of_image[:, None, :]]
-    turned = angle_derivatives(unknowns.rotation, o.in_angles, o.system).transpose(2, 0, 1)
+    turned = angle_derivatives(unknowns.rotation, o.in_angles, reference, o.system).transpose(2, 0, 1)
     to_user = jnp.zeros((images, 6, 6)).at[:, :3, :3].set(jnp.eye(3)).at[:, 3:, 3:].set(turned)
     exterior = to_user @ exterior @ to_user.transpose(0, 2, 1)
     of_camera = 6 * images + columns * jnp.arange(cameras)[:, None] + jnp.arange(columns)

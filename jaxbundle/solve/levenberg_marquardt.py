@@ -73,8 +73,8 @@ def trial_step(unknowns: Unknowns, observations: Observations, plan: Plan, dampi
     # v^2 - w^2 as a product: the difference of two nearly equal sums would be noise near the minimum
     reduction = 0.5 * sum(jnp.sum((v - w) * (v + w)) for v, w in pairs)
     predicted = 0.5 * (step.damped_step - step.gradient_step)
-    # rounding of the image coordinates: no step can be told from 0 below it, also where the residuals vanish
-    noise = 0.5 * jnp.sum((jnp.finfo(cost.dtype).eps * observations.coordinates * observations.weights) ** 2)
+    # rounding of the image equation, a few operations on image coordinates: no step can be told from 0 below it
+    noise = 0.5 * jnp.sum((4 * jnp.finfo(cost.dtype).eps * observations.coordinates * observations.weights) ** 2)
     moved_residuals = -step.gradient_step - step.damped_step  # |J d|^2 = d.N d
     angle_squared = jnp.maximum(moved_residuals - noise, 0.0) / (2 * cost)
     return Trial(moved, cost, reduction, predicted, angle_squared, noise, step.finite)
@@ -91,8 +91,10 @@ class BundleSolver(optx.AbstractLeastSquaresSolver[Unknowns, Any, Any, State]):
     def first(self, unknowns: Unknowns, args: Arguments) -> State:
         """The state before the first step."""
         cost = schur.cost(unknowns, args.observations)
-        false, zero, nan = jnp.asarray(False), jnp.asarray(0), jnp.asarray(jnp.nan)
-        return State(self.search.first(), false, false, zero, zero, zero, nan, cost, nan, nan)
+        false, zero, nan = jnp.array(False), jnp.array(0), jnp.array(jnp.nan)
+        state = State(self.search.first(), false, false, zero, zero, zero, nan, cost, nan, nan)
+        # without weak types, which a step does not return: one compilation serves the first step and the others
+        return jax.tree.map(lambda leaf: jax.lax.convert_element_type(leaf, leaf.dtype), state)
 
     def init(self, fn, y, args, options, f_struct, aux_struct, tags) -> State:
         return options["state"] if "state" in options else self.first(y, args)
@@ -110,7 +112,7 @@ class BundleSolver(optx.AbstractLeastSquaresSolver[Unknowns, Any, Any, State]):
         met = accepted & (measure <= rule.limit)
         uncertified = state.uncertified | (state.certifying & ~trial.finite)
         undamped = damping == 0
-        status = jnp.where(met & (undamped | uncertified), CONVERGED, RUNNING)
+        status = jnp.where(met & (undamped | uncertified), CONVERGED, RUNNING).astype(state.status.dtype)
         status = jnp.where((status == RUNNING) & (search.damping > LARGEST_DAMPING), STALLED, status)
         hopeless = undamped & ~state.certifying & ~accepted  # Gauss-Newton has no shorter step
         status = jnp.where(hopeless, jnp.where(trial.finite, DIVERGED, SINGULAR), status)

@@ -26,7 +26,10 @@ class SearchState(NamedTuple):
 
 
 class AbstractSearch(eqx.Module):
-    """Decides on a trial step and on the damping of the next one."""
+    """Decides on a trial step and on the damping of the next one.
+
+    All numbers belong to v^T P v / 2; `noise` is that of residuals which are nothing but rounding.
+    """
 
     @abc.abstractmethod
     def first(self) -> SearchState:
@@ -36,7 +39,7 @@ class AbstractSearch(eqx.Module):
     def judge(
         self, state: SearchState, reduction: Array, predicted: Array, cost: Array, noise: Array
     ) -> tuple[Bool[Array, ""], SearchState]:
-        """Whether to accept the trial, and the state of the next step. All numbers belong to v^T P v / 2."""
+        """Whether to accept the trial, and the state of the next step."""
 
 
 class DampedSearch(AbstractSearch):
@@ -45,13 +48,13 @@ class DampedSearch(AbstractSearch):
     initial_damping: float = 1e-4
 
     def first(self) -> SearchState:
-        return SearchState(jnp.asarray(self.initial_damping), jnp.asarray(2.0), jnp.asarray(False))
+        return SearchState(jnp.array(self.initial_damping), jnp.array(2.0), jnp.array(False))
 
     def judge(
         self, state: SearchState, reduction: Array, predicted: Array, cost: Array, noise: Array
     ) -> tuple[Bool[Array, ""], SearchState]:
         ratio = reduction / predicted
-        floor = 16 * jnp.finfo(cost.dtype).eps * cost + noise
+        floor = 16 * jnp.finfo(cost.dtype).eps * cost + 2 * jnp.sqrt(cost * noise) + noise
         # at the rounding floor the ratio is noise: a full step may pass, a shortened one would creep on for ever
         at_floor = (jnp.abs(reduction) <= floor) & (jnp.abs(predicted) <= floor) & ~state.raised
         accepted = (jnp.isfinite(reduction) & (predicted > 0) & (ratio > LEAST_RATIO)) | at_floor
@@ -64,7 +67,7 @@ class FullStep(AbstractSearch):
     """Gauss-Newton: every step is taken in full."""
 
     def first(self) -> SearchState:
-        return SearchState(jnp.asarray(0.0), jnp.asarray(1.0), jnp.asarray(False))
+        return SearchState(jnp.array(0.0), jnp.array(1.0), jnp.array(False))
 
     def judge(
         self, state: SearchState, reduction: Array, predicted: Array, cost: Array, noise: Array

@@ -1,0 +1,184 @@
+"""BAL text files (Agarwal, Snavely, Seitz, Szeliski 2010: Bundle Adjustment in the Large).
+
+    cameras points observations
+    camera point x y                            one line an observation, px, origin in the image centre, y up
+    rotation vector, t, f, k1, k2               nine numbers a camera, p = R X + t
+    X Y Z                                       three numbers a point
+
+Every image has a camera of its own. Its projection centre is X0 = -R^T t; its angles are those of R^T,
+object_from_image.
+"""
+
+from pathlib import Path
+
+import jax
+import jax.numpy as jnp
+import numpy as np
+import polars as pl
+from jaxtyping import Array, Float
+
+from jaxbundle.block.block import Block, Camera, CheckPoints, ExteriorOrientation, InteriorOrientation, Rays, Structure
+from jaxbundle.block.problems import BlockError, Problem
+from jaxbundle.camera.model import BAL
+from jaxbundle.geometry import rotation
+from jaxbundle.geometry.rotation import OMEGA_PHI_KAPPA
+
+HEAD = 200  # characters that hold the first line
+Numbers = Float[np.ndarray, " number"]
+
+
+def read_bal(path: str | Path, estimate_interior: bool = True) -> Block:
+    """The block of a BAL file: names are numbers, sigmas are 1 px; points behind a camera are taken as they are.
+
+    `estimate_interior`: f, k1, k2 of every camera are unknown, else held.
+
+    Raises: BlockError with what is wrong in the file.
+    """
+    text = Path(path).read_bytes()
+    cameras, points, observations = _counts(Path(path).name, text)
+    numbers = _numbers(Path(path).name, text, 3 + 4 * observations + 9 * cameras + 3 * points)
+    rays, parameters, coordinates = np.split(numbers[3:], [4 * observations, 4 * observations + 9 * cameras])
+    rays, parameters = rays.reshape(-1, 4), parameters.reshape(-1, 9)
+    _require_indices(Path(path).name, text, rays, cameras, points)
+    centre, angles = _orientation(parameters[:, :6].T)
+    names = tuple(map(str, range(cameras)))
+    structure = Structure(
+        name=Path(path).stem,
+        cameras=tuple(Camera(name, BAL) for name in names),
+        image_names=names,
+        point_names=tuple(map(str, range(points))),
+        image_camera=np.arange(cameras, dtype=np.int32),
+        ray_image=rays[:, 0].astype(np.int32),
+        ray_point=rays[:, 1].astype(np.int32),
+        exterior_free=np.ones((cameras, 6), bool),
+        interior_free=np.full((cameras, 3), estimate_interior),
+        point_free=np.ones((points, 3), bool),
+        check_point=np.zeros(0, np.int32),
+    )
+    return Block(
+        structure,
+        ExteriorOrientation(centre.T, angles.T),
+        InteriorOrientation(jnp.asarray(parameters[:, 6:])),
+        jnp.asarray(coordinates.reshape(-1, 3)),
+        Rays(jnp.asarray(rays[:, 2:]), jnp.ones((observations, 2))),
+        (),
+        CheckPoints(jnp.zeros((0, 3)), jnp.zeros((0, 3))),
+    )
+
+
+def is_bal(head: bytes) -> bool:
+    """Whether a file that begins so is a BAL file: three integers in its first line."""
+    fields = head.partition(b"\n")[0].split()
+    return len(fields) == 3 and all(field.isdigit() for field in fields)
+
+
+def _wrong(file: str, line: int, what: str, cure: str) -> BlockError:
+    problem = Problem(what, cure, file)
+    return BlockError([problem], [f"{file}:{line}: {what}; {cure}"])
+
+
+def _counts(file: str, text: bytes) -> tuple[int, int, int]:
+    head = text[:HEAD]
+    if not is_bal(head):
+        what = "the first line does not tell the numbers of cameras, points and observations"
+        raise _wrong(file, 1, what, "begin the file with three integers")
+    cameras, points, observations = map(int, head.partition(b"\n")[0].split())
+    if 0 in (cameras, points, observations):
+        what = f"{cameras} cameras, {points} points and {observations} observations are no block"
+        raise _wrong(file, 1, what, "give at least one of each")
+    return cameras, points, observations
+
+
+def _numbers(file: str, text: bytes, promised: int) -> Numbers:
+    """All numbers of the file, in their order."""
+    try:
+        numbers = np.fromstring(text, sep=" ")
+    except ValueError:
+        numbers = None
+    if numbers is None or len(numbers) != promised or not np.isfinite(numbers).all():
+        raise _what_is_wrong(file, text, promised)
+    return numbers
+
+
+def _what_is_wrong(file: str, text: bytes, promised: int) -> BlockError:
+    """The first field that is no number, else the first observation that is not whole, else the number of fields."""
+    cameras, points, observations = _counts(file, text)
+    lines = [(number, line.split()) for number, line in enumerate(text.split(b"\n"), 1) if line.strip()]
+    again = "correct it, or take the file from its source again"
+    for number, fields in lines:
+        for field in fields:
+            if not _is_finite(field):
+                return _wrong(file, number, f"'{field.decode(errors='replace')}' is no finite number", again)
+    for number, fields in lines[1 : observations + 1]:
+        if len(fields) != 4:
+            what = f"observation '{b' '.join(fields).decode()}' has {len(fields)} numbers, not 4"
+            return _wrong(file, number, what, again)
+    found = sum(len(fields) for _, fields in lines)
+    promise = f"{cameras} cameras, {points} points and {observations} observations need {promised} numbers"
+    cure = "the file is cut off: take it from its source again" if found < promised else "correct the first line"
+    return _wrong(file, lines[-1][0], f"{promise}, the file has {found}", cure)
+
+
+def _is_finite(field: bytes) -> bool:
+    try:
+        return b"_" not in field and bool(np.isfinite(float(field)))
+    except ValueError:
+        return False
+
+
+def _require_indices(file: str, text: bytes, rays: Float[np.ndarray, "ray 4"], cameras: int, points: int) -> None:
+    """Raises BlockError for the first observation of a camera or point that does not exist."""
+    for column, (what, count) in enumerate((("camera", cameras), ("point", points))):
+        index = rays[:, column]
+        wrong = np.flatnonzero(~((index >= 0) & (index < count) & (index == np.floor(index))))
+        if len(wrong):
+            line = _line(text, 3 + 4 * int(wrong[0]) + column)
+            problem = f"there is no {what} {index[wrong[0]]:g}: the file has {count}, numbered from 0"
+            raise _wrong(file, line, problem, "correct the number or drop the observation and count anew")
+
+
+def _line(text: bytes, field: int) -> int:
+    """Line of a field, both counted in the whole file: lines from 1, fields from 0."""
+    last = np.cumsum([len(line.split()) for line in text.split(b"\n")])
+    return int(np.searchsorted(last, field, side="right")) + 1
+
+
+@jax.jit
+def _orientation(parameters: Float[Array, "6 image"]) -> tuple[Float[Array, "3 image"], Float[Array, "3 image"]]:
+    """Projection centres and angles from rotation vectors and translations."""
+    x, y, z, *t = parameters
+    object_from_image = rotation.transpose(rotation.from_rotation_vector(x, y, z))
+    centre = -jnp.stack(rotation.apply(object_from_image, (t[0], t[1], t[2])))
+    return centre, jnp.stack(OMEGA_PHI_KAPPA.angles_from_rotation(object_from_image))
+
+
+def write_bal(block: Block, path: str | Path) -> None:
+    """Writes images, points and rays; sigmas, control and what is held have no place in the format.
+
+    Raises: BlockError where a camera has another model than `bal`.
+    """
+    structure = block.structure
+    problems = [
+        Problem(f"camera {camera.name} has the model '{camera.model.name}'", "BAL files know 'bal' alone")
+        for camera in structure.cameras
+        if camera.model is not BAL
+    ]
+    if problems:
+        raise BlockError(problems)
+    interior = np.asarray(block.interior.elements)[structure.image_camera]
+    parameters = np.concatenate([_rotation_and_translation(block), interior], 1)
+    x, y = np.asarray(block.rays.coordinates).T
+    rays = pl.DataFrame({"image": structure.ray_image, "point": structure.ray_point, "x": x, "y": y})
+    numbers = pl.DataFrame({"number": np.concatenate([parameters.ravel(), np.asarray(block.object_points).ravel()])})
+    with Path(path).open("wb") as file:
+        file.write(f"{len(structure.image_names)} {len(structure.point_names)} {len(x)}\n".encode())
+        rays.write_csv(file, include_header=False, separator=" ")
+        numbers.write_csv(file, include_header=False)
+
+
+def _rotation_and_translation(block: Block) -> Float[np.ndarray, "image 6"]:
+    object_from_image = block.structure.rotation_system.rotation_from_angles(*block.exterior.angles.T)
+    image_from_object = rotation.transpose(object_from_image)
+    x0, y0, z0 = block.exterior.projection_centre.T
+    translation = -jnp.stack(rotation.apply(image_from_object, (x0, y0, z0)))
+    return np.asarray(jnp.concatenate([jnp.stack(rotation.to_rotation_vector(image_from_object)), translation]).T)
