@@ -79,7 +79,6 @@ def make_small_folder(folder: Path) -> Path:
             ((image, point) for image in IMAGES for point in POINTS), image_coordinates().tolist(), strict=True
         )
     ]
-    images = [f"{name},wide,{','.join(map(repr, row))}" for name, row in zip(IMAGES, orientations().tolist(), strict=True)]
     points = object_points().tolist()
     approximate = [f"{name},{x:.1f},{y:.1f},{z:.1f}" for name, (x, y, z) in zip(POINTS[:8], points, strict=False)]
     (x1, y1, z1), (x2, y2, z2), (x3, y3, _), (_, _, z4), (x5, y5, z5) = points[:5]
@@ -90,7 +89,7 @@ def make_small_folder(folder: Path) -> Path:
         f"104,,,{z4!r},,,0.04,control",
         f"105,{x5!r},{y5!r},{z5!r},,,,check",
     ]
-    write(folder, "images.csv", "image,camera,X0,Y0,Z0,omega,phi,kappa", images)
+    write_images(folder, orientations())
     write(folder, "rays.csv", "image,point,x,y,sx,sy", rays)
     write(folder, "points.csv", "point,X,Y,Z", approximate)
     write(folder, "control.csv", "point,X,Y,Z,sX,sY,sZ,role", control)
@@ -101,6 +100,12 @@ def make_small_folder(folder: Path) -> Path:
 def write(folder: Path, file: str, header: str, rows: list[str]) -> None:
     """Writes a table."""
     (folder / file).write_text("\n".join([header, *rows]) + "\n", encoding="utf-8")
+
+
+def write_images(folder: Path, rows: np.ndarray, angles: str = "omega,phi,kappa") -> None:
+    """Writes images.csv from X0, Y0, Z0 and three angles an image."""
+    images = [f"{name},wide,{','.join(map(repr, row))}" for name, row in zip(IMAGES, rows.tolist(), strict=True)]
+    write(folder, "images.csv", f"image,camera,X0,Y0,Z0,{angles}", images)
 
 
 def change(folder: Path, file: str, line: int, old: str, new: str) -> None:

@@ -28,8 +28,8 @@ def intersect(block: Block) -> Block:
     A coordinate that is given is kept. Points whose rays are parallel, or that have one ray only, stay NaN.
     """
     points = np.asarray(block.object_points)
-    missing: np.ndarray = np.isnan(points)
-    rays = np.flatnonzero(missing.any(1)[block.structure.ray_point])
+    missing = np.isnan(points)
+    rays = np.flatnonzero(np.any(missing, axis=1)[block.structure.ray_point])
     if not len(rays):
         return block
     image = block.structure.ray_image[rays]
@@ -53,7 +53,7 @@ def _directions(block: Block, rays: Int[Array, " ray"], image: Int[Array, " ray"
     def residual(a: Array, b: Array) -> ImagePoint:
         return structure.model.residual(interior, (a, b, -one), measured)
 
-    def step(_: int, vector: tuple[Array, Array]) -> tuple[Array, Array]:
+    def step(_: Int[Array, ""], vector: tuple[Array, Array]) -> tuple[Array, Array]:
         (vx, vy), (xa, ya) = jax.jvp(residual, vector, (one, zero))
         _, (xb, yb) = jax.jvp(residual, vector, (zero, one))
         determinant = xa * yb - xb * ya

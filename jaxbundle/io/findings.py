@@ -21,8 +21,12 @@ class Finding:
 
 @dataclass
 class Findings:
-    """`touched` names the images and points in rows that are wrong: what follows from them alone is not told."""
+    """`files` are those read so far, in this order.
 
+    `touched` names the images and points in rows that are wrong: what follows from them alone is not told.
+    """
+
+    files: list[str] = field(default_factory=list)
     found: list[Finding] = field(default_factory=list)
     touched: set[str] = field(default_factory=set)
 
@@ -35,7 +39,7 @@ class Findings:
         self.touched.update(touched)
 
     def error(self) -> BlockError:
-        """All findings, file by file in the order of reading and line by line."""
-        order = {file: k for k, file in enumerate(dict.fromkeys(finding.file for finding in self.found))}
-        found = sorted(self.found, key=lambda finding: (order[finding.file], finding.line))
+        """All findings, file by file in the order of reading and line by line; those of no file last."""
+        order = {file: k for k, file in enumerate(self.files)}
+        found = sorted(self.found, key=lambda finding: (order.get(finding.file, len(order)), finding.line))
         return BlockError([finding.problem for finding in found], [str(finding) for finding in found])

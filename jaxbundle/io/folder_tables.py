@@ -175,9 +175,9 @@ def _known(kind: str, table: Table, names: Sequence[str], images_file: str) -> K
         return KnownRows(table, tuple(known), position, coordinates, nothing, np.zeros(len(known), bool))
     zero = "give a positive one; [datum] in block.toml holds elements of images" if kind == "stations" else ""
     sigmas = table.sigmas(*SIGMAS, zero=zero)
-    for row, k in zip(*np.nonzero((sigmas == 0) & np.isnan(coordinates)), strict=True):
+    for row, k in np.argwhere((sigmas == 0) & np.isnan(coordinates)).tolist():
         cure = f"give {COORDINATES[k]} or leave {SIGMAS[k]} empty"
-        table.note(int(row), f"{SIGMAS[k]} = 0 holds {COORDINATES[k]}, which is not given", cure)
+        table.note(row, f"{SIGMAS[k]} = 0 holds {COORDINATES[k]}, which is not given", cure)
     check = np.zeros(len(known), bool)
     if kind == "control":
         role = table.text["role"]
@@ -192,7 +192,7 @@ def _distances(table: Table, rays: RayRows) -> DistanceRows:
     for row in (table.text["from"] == table.text["to"]).arg_true():
         table.note(row, "both ends are the same point", "correct one of them or drop the row")
     values = table.numbers("distance", needed=True)
-    for row in np.flatnonzero(values[:, 0] <= 0):
-        table.note(int(row), "the distance is not positive", "give a positive one or drop the row")
+    for row in np.flatnonzero(values[:, 0] <= 0).tolist():
+        table.note(row, "the distance is not positive", "give a positive one or drop the row")
     sigmas = table.sigmas("sigma", zero="give a positive one", needed=True)
     return DistanceRows(table, np.stack(ends, 1), values, sigmas)

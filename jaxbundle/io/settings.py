@@ -2,7 +2,7 @@
 
 from typing import Annotated, Any, Literal, TypeVar
 
-from pydantic import BaseModel, ConfigDict, Field, ValidationInfo, field_validator
+from pydantic import BaseModel, ConfigDict, Field, field_validator
 from pydantic_core import PydanticCustomError
 
 from jaxbundle.camera.model import CAMERA_MODELS, CameraModel
@@ -72,14 +72,14 @@ class CameraSection(Section):
 
     @field_validator("pixel_size")
     @classmethod
-    def _of_pixels(cls, size: float | None, info: ValidationInfo) -> float | None:
+    def _of_pixels(cls, size: float | None, info: Any) -> float | None:
         if size is not None and info.data.get("image_unit") == "mm":
             raise _problem("rays in mm have no pixel_size", 'drop it, or give the rays in px and image_unit = "px"')
         return size
 
     @field_validator("distortion")
     @classmethod
-    def _known_and_complete(cls, name: str, info: ValidationInfo) -> str:
+    def _known_and_complete(cls, name: str, info: Any) -> str:
         if name not in CAMERA_MODELS:
             raise _problem(f"distortion '{name}' is unknown", f"known: {', '.join(CAMERA_MODELS)}")
         elements = CAMERA_MODELS[name].elements
@@ -92,13 +92,13 @@ class CameraSection(Section):
 
     @field_validator("coefficients")
     @classmethod
-    def _known_coefficients(cls, values: dict[str, float], info: ValidationInfo) -> dict[str, float]:
+    def _known_coefficients(cls, values: dict[str, float], info: Any) -> dict[str, float]:
         model = CAMERA_MODELS.get(info.data.get("distortion", ""))
         return _all_known(values, coefficient_names(model), model.name, "coefficient") if model else values
 
     @field_validator("estimate")
     @classmethod
-    def _known_elements(cls, names: list[str], info: ValidationInfo) -> list[str]:
+    def _known_elements(cls, names: list[str], info: Any) -> list[str]:
         model = CAMERA_MODELS.get(info.data.get("distortion", ""))
         return _all_known(names, model.estimable, model.name, "interior element to estimate") if model else names
 

@@ -81,9 +81,9 @@ class Table:
     def sigmas(self, *columns: str, zero: str = "", needed: bool = False) -> Float[np.ndarray, "row column"]:
         """Columns of standard deviations; `zero` tells the cure of a sigma that is 0, "" allows it."""
         values = self.numbers(*columns, needed=needed)
-        for row, k in zip(*np.nonzero(values < 0), strict=True):
+        for row, k in np.argwhere(values < 0).tolist():
             self.note(row, f"the standard deviation {columns[k]} is negative", "give a positive one")
-        for row, k in zip(*np.nonzero(values == 0), strict=True) if zero else ():
+        for row, k in np.argwhere(values == 0).tolist() if zero else ():
             self.note(row, f"the standard deviation {columns[k]} is 0", zero)
         return values
 
@@ -107,6 +107,7 @@ def listed(names: Sequence[str]) -> str:
 
 def read_text(path: Path, findings: Findings) -> str | None:
     """The text of a file; None and a note where there is none."""
+    findings.files.append(path.name)
     if not path.is_file():
         findings.add(
             path.name, 0, "the file is missing", "add it to the folder, or drop what refers to it in block.toml"
@@ -183,7 +184,7 @@ def _quoted(
     file: str, text: str, header: list[str], findings: Findings
 ) -> tuple[pl.DataFrame, Int[np.ndarray, " row"]]:
     """Rows of a table in which fields are quoted."""
-    reader = csv.reader(io.StringIO(text), strict=True)
+    reader = csv.reader(io.StringIO(text), strict=True, skipinitialspace=True)
     rows, lines, line = [], [], 1
     try:
         for row in reader:

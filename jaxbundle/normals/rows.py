@@ -37,6 +37,18 @@ class ImageScalars(NamedTuple):
     interior: tuple[Scalar, ...]
 
 
+def image_equation(
+    model: CameraModel,
+    rotation: Rotation,
+    centre: Vector,
+    interior: tuple[Scalar, ...],
+    point: Vector,
+    measured: ImagePoint,
+) -> ImagePoint:
+    """Residual of an image point as a function of everything it depends on."""
+    return model.residual(interior, photo_vector(rotation, centre, point), measured)
+
+
 def ray_rows(
     model: CameraModel,
     columns: tuple[int, ...],
@@ -51,7 +63,7 @@ def ray_rows(
         interior = list(image.interior)
         for column, value in zip(columns, estimated, strict=True):
             interior[column] = value
-        return model.residual(tuple(interior), photo_vector(rotation, image.centre, point), measured)
+        return image_equation(model, rotation, image.centre, tuple(interior), point, measured)
 
     estimated = tuple(image.interior[column] for column in columns)
     v, transposed = jax.vjp(equation, image.rotation, estimated, point)

@@ -130,9 +130,10 @@ def tie_points(flight: Flight, points_per_image: int, rng: np.random.Generator) 
 
 def near_pairs(flight: Flight, points: Float[np.ndarray, "point 3"], relief: float, tilt: float) -> Incidence:
     """Every pair of image and point that may see each other: stations within an image's reach of the point."""
-    widest = (0.5 + relief / flight.height) * math.hypot(*flight.footprint) + 4 * (tilt + SCATTER) * flight.height
-    k = np.arange(-math.ceil(widest / flight.base), math.ceil(widest / flight.base) + 1)
-    s = np.arange(-math.ceil(widest / flight.strip_distance), math.ceil(widest / flight.strip_distance) + 1)
+    swing = 4 * (tilt + SCATTER)
+    share = 0.5 + relief / 2 / flight.height + swing
+    along, across = (share * extent + swing * flight.height for extent in flight.footprint)
+    k, s = _steps(along, flight.base), _steps(across, flight.strip_distance)
     along = np.round(points[:, 0] / flight.base).astype(int)[:, None, None] + k[:, None]
     strip = np.round(points[:, 1] / flight.strip_distance).astype(int)[:, None, None] + s
     along, strip = np.broadcast_arrays(along, strip)
@@ -142,3 +143,9 @@ def near_pairs(flight: Flight, points: Float[np.ndarray, "point 3"], relief: flo
     image = strip * flight.images + np.where(strip % 2 == 1, flight.images - 1 - along, along)
     order = np.lexsort((point, image))
     return Incidence(image[order].astype(np.int32), point[order].astype(np.int32))
+
+
+def _steps(reach: float, spacing: float) -> Int[np.ndarray, " step"]:
+    """Numbers of stations, either way from the nearest one, that lie within reach."""
+    most = math.floor(reach / spacing + 0.5)
+    return np.arange(-most, most + 1)

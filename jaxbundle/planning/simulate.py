@@ -24,8 +24,8 @@ from jaxbundle.block.block import (
     Structure,
 )
 from jaxbundle.block.observations import CONTROL, STATIONS, ObservationGroup, observation_group
-from jaxbundle.block.residuals import observations_of, ray_residuals
-from jaxbundle.block.unknowns import unknowns_of
+from jaxbundle.block.residuals import Observations, observations_of, ray_residuals
+from jaxbundle.block.unknowns import Unknowns, unknowns_of
 from jaxbundle.geometry.precision import require_float64
 from jaxbundle.geometry.rotation import OMEGA_PHI_KAPPA
 from jaxbundle.planning.flight import (
@@ -126,14 +126,13 @@ def exact_coordinates(block: Block) -> tuple[Float[np.ndarray, "ray 2"], Float[n
     By Newton's method from the principal point, so that any camera model will do; exact at once for models that do not
     correct the measurement.
     """
-    coordinates, left = _exact(block)
+    coordinates, left = _exact(unknowns_of(block), observations_of(block))
     return np.asarray(coordinates.T), np.asarray(left.T)
 
 
 @eqx.filter_jit
-def _exact(block: Block) -> tuple[Float[Array, "2 ray"], Float[Array, "2 ray"]]:
-    unknowns, observations = unknowns_of(block), observations_of(block)
-    elements = block.structure.model.elements
+def _exact(unknowns: Unknowns, observations: Observations) -> tuple[Float[Array, "2 ray"], Float[Array, "2 ray"]]:
+    elements = observations.model.elements
     start = jnp.zeros_like(observations.coordinates)
     if "x0" in elements:
         camera = observations.image_camera[observations.ray_image]

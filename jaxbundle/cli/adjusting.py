@@ -1,0 +1,93 @@
+"""`jaxbundle adjust`: a path in, summary and findings to standard output, a folder of results."""
+
+from pathlib import Path
+from typing import NamedTuple
+
+import typer
+
+from jaxbundle.block.block import Block
+from jaxbundle.block.changes import with_interior_held
+from jaxbundle.cli.progress import ProgressLines
+from jaxbundle.io import read
+from jaxbundle.report.columns import wrapped
+from jaxbundle.report.files import require_place, write_report
+from jaxbundle.report.findings import findings
+from jaxbundle.solve.adjust import adjust
+from jaxbundle.solve.adjustment import Adjustment
+from jaxbundle.solve.stopping import AbstractStoppingRule, AngleRule, PointRule, parallax_rule, unknown_rule
+
+
+class Wanted(NamedTuple):
+    """How to solve, as the user says it."""
+
+    method: str
+    stop: str
+    limit: float | None
+    unknown: tuple[str, ...]
+    max_iterations: int
+    engine: str
+
+
+def run(path: Path, out: Path | None, wanted: Wanted, hold_interior: bool, precision: bool) -> int:
+    """Adjusts, writes and prints; the exit code."""
+    lines = ProgressLines()
+    with lines.phase("reading ..."):
+        block = read(path)
+    block = with_interior_held(block) if hold_interior else block
+    rule = stopping_rule(block, wanted)
+    folder = out or Path(f"{path.resolve().stem}-adjusted")
+    require_place(folder, block)  # before the work, not after it
+    with lines.phase("adjusting"):
+        adjustment = adjust(
+            block,
+            method=wanted.method,
+            stop=rule,
+            max_iterations=wanted.max_iterations,
+            precision=precision,
+            engine=wanted.engine,
+            progress=lines.iteration,
+        )
+    with lines.phase("writing"):
+        write_report(adjustment, folder)
+    echo_result(adjustment)
+    typer.echo(f"Results: {folder}")
+    return 0 if adjustment.trustworthy else 1
+
+
+def echo_result(adjustment: Adjustment) -> None:
+    """Summary and findings; undetermined unknowns are in the summary already."""
+    typer.echo(adjustment.summary())
+    for finding in findings(adjustment):
+        if finding.kind != "undetermined":
+            typer.echo("\n".join(wrapped(finding.label, finding.words, 14)))
+
+
+def stopping_rule(block: Block, wanted: Wanted) -> AbstractStoppingRule:
+    """The rule of these options.
+
+    Raises: typer.BadParameter for options that do not belong together, or an unknown that is not in the block.
+    """
+    limit = wanted.limit
+    if limit is not None and not limit > 0:
+        raise typer.BadParameter(f"--limit {limit} is not positive")
+    if wanted.unknown and wanted.stop != "unknown":
+        raise typer.BadParameter("--unknown belongs to --stop unknown")
+    if wanted.stop == "angle":
+        return AngleRule() if limit is None else AngleRule(limit=limit)
+    if limit is None:
+        raise typer.BadParameter(f"--stop {wanted.stop} needs a --limit")
+    if wanted.stop == "points":
+        return PointRule(limit=limit)
+    if wanted.stop == "parallax":
+        return parallax_rule(block, limit)
+    try:
+        return unknown_rule(block, limit, *map(_name_and_element, wanted.unknown))
+    except ValueError as error:
+        raise typer.BadParameter(str(error)) from error
+
+
+def _name_and_element(text: str) -> tuple[str, str]:
+    name, colon, element = text.rpartition(":")
+    if not colon:
+        raise typer.BadParameter(f"--unknown {text} is not NAME:ELEMENT, as 1_01:X0")
+    return name, element

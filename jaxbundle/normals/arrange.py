@@ -1,0 +1,331 @@
+"""A block in the order of its elimination.
+
+`Arrangement` is the host's plan: images in elimination order, points in tiles, points that must be kept apart.
+`Problem` is what the compiled program takes: arrays of padded shapes and, static, a few sizes and the functions applied
+to them, so that the next block of similar size runs in the same program.
+"""
+
+from dataclasses import dataclass
+from typing import NamedTuple
+
+import equinox as eqx
+import jax
+import jax.numpy as jnp
+import numpy as np
+from jaxtyping import Array, Bool, Float, Int
+
+from jaxbundle.block.block import Block, Structure
+from jaxbundle.block.observations import ObservationGroup
+from jaxbundle.block.residuals import Group, Observations
+from jaxbundle.block.unknowns import Unknowns, corrected_in_angles
+from jaxbundle.normals import ordering
+from jaxbundle.normals.cells import Tiles
+from jaxbundle.normals.eliminate import Shape
+from jaxbundle.normals.kept import KeptRays
+from jaxbundle.normals.reduced_plan import Method, reduced_plan
+from jaxbundle.normals.reduced_system import ReducedSolver
+from jaxbundle.normals.tiles import CLASSES, SLOTS, Tiling, grid_size, tiling
+
+DENSE_TABLE = 4096  # images; beyond, pairs are looked up by bisection
+
+
+class Order(NamedTuple):
+    """Where every image, camera and point of the block stands, and how many places there are (padded)."""
+
+    image: Int[np.ndarray, " image"]
+    camera: Int[np.ndarray, " camera"]
+    point: Int[np.ndarray, " point"]
+    images: int
+    cameras: int
+    points: int
+
+
+@dataclass(frozen=True, eq=False)
+class Arrangement:
+    """The plan of one block, host data. The last image is a dummy; kept points stand behind the places of the tiles."""
+
+    order: Order
+    shape: Shape
+    tiling: Tiling
+    rays: Int[np.ndarray, " ray"]  # those of eliminated points, as the tiling numbers them
+    kept: Int[np.ndarray, " kept"]
+    kept_rays: Int[np.ndarray, " ray"]
+    pair: Int[np.ndarray, " entry"]
+    pair_offset: Int[np.ndarray, "device chunk"]
+    diagonal_pair: Int[np.ndarray, " image"]
+    group_pairs: tuple[Int[np.ndarray, " member"] | None, ...]
+    reduced: ReducedSolver
+    devices: int
+
+    @property
+    def places(self) -> int:
+        """Columns of all tiles of all devices."""
+        return self.tiling.devices * self.tiling.tiles * self.tiling.width
+
+
+class Arranged(NamedTuple):
+    """Unknowns in the order of elimination: `images.points` are the kept points, `tiles` all others."""
+
+    images: Unknowns
+    tiles: Float[Array, "3 tile column"]
+
+    def flat(self) -> Unknowns:
+        """All points in one row, as the order numbers them."""
+        points = jnp.concatenate([self.tiles.reshape(3, -1), self.images.points], 1)
+        return eqx.tree_at(lambda u: u.points, self.images, points)
+
+
+class Problem(eqx.Module):
+    """What the solver takes through `args`. `observations` has no rays: they are in `tiles` and `kept_rays`."""
+
+    observations: Observations
+    tiles: Tiles
+    kept_rays: KeptRays
+    diagonal_pair: Int[Array, " image"]
+    group_pairs: tuple[Int[Array, " member"] | None, ...]
+    point_column: Int[Array, " point"]
+    camera_image: Int[Array, " camera"]
+    reduced: ReducedSolver
+    shape: Shape = eqx.field(static=True)
+    devices: int = eqx.field(static=True)
+
+    @property
+    def free_tiles(self) -> Bool[Array, "3 tile column"]:
+        """Which coordinates of the eliminated points are unknown."""
+        width = self.tiles.measured.shape[-1]
+        places = self.observations.point_free.shape[1] - self.shape.kept
+        return self.observations.point_free[:, :places].reshape(3, -1, width)
+
+
+def kept_points(structure: Structure, groups: tuple[ObservationGroup, ...]) -> Bool[np.ndarray, " point"]:
+    """Points that cannot be eliminated one by one: they share an observation, or have no ray or too many for a tile."""
+    count = np.bincount(structure.ray_point, minlength=len(structure.point_names))
+    kept = (count == 0) | (count > SLOTS)
+    for group in groups:
+        touches = group.structure.kind.touches
+        for k, kind in enumerate(touches):
+            if kind == "point" and len(touches) > 1:
+                kept[group.structure.indices[:, k]] = True
+    return kept
+
+
+def own_cameras(structure: Structure) -> bool:
+    """Whether every image has a camera of its own, whose interior then belongs to the image's block."""
+    used = np.bincount(structure.image_camera, minlength=len(structure.cameras))
+    return bool(structure.interior_columns) and bool((used == 1).all())
+
+
+def _group_image_pairs(structure: Structure, group: ObservationGroup, own: bool) -> Int[np.ndarray, "member 2"] | None:
+    """The two images each member touches, None where it never touches two."""
+    camera_image = np.zeros(len(structure.cameras), int)
+    camera_image[structure.image_camera] = np.arange(len(structure.image_camera))
+    columns = []
+    for k, kind in enumerate(group.structure.kind.touches):
+        if kind == "image":
+            columns.append(group.structure.indices[:, k])
+        elif kind == "camera" and own:
+            columns.append(camera_image[group.structure.indices[:, k]])
+    if len(columns) > 2:
+        raise ValueError(f"observations of kind {group.structure.kind.name} touch more than two images")
+    return np.stack(columns, 1) if len(columns) == 2 else None
+
+
+def _pair_lists(
+    plan: Tiling, pairs: Int[np.ndarray, "pair 2"], images: int, waste: int
+) -> tuple[Int[np.ndarray, " entry"], Int[np.ndarray, "device chunk"]]:
+    """The pool's block of every pair of slots of every tile, chunk after chunk of a class; where each chunk begins."""
+    find = _pair_finder(pairs, images, waste)
+    offset = np.zeros(plan.tile_class.shape, np.int64)
+    used = np.arange(plan.tile_class.shape[1]) < plan.chunks[:, None]
+    lists, total = [], 0
+    for kind, size in enumerate(CLASSES):
+        g, c = np.nonzero(used & (plan.tile_class == kind))
+        if len(g) == 0:
+            continue
+        image = plan.slot_image[g, c].reshape(-1, size)
+        block = find(image[:, :, None], image[:, None, :])
+        per_chunk = SLOTS * size
+        offset[g, c] = total + np.arange(len(g)) * per_chunk
+        total += len(g) * per_chunk
+        lists.append(block.ravel())
+    pad = grid_size(total + SLOTS * SLOTS) - total  # a chunk may read on beyond its last tile
+    return np.concatenate([*lists, np.full(pad, waste)]).astype(np.int32), offset.astype(np.int32)
+
+
+def _pair_finder(pairs: Int[np.ndarray, "pair 2"], images: int, waste: int):
+    """Function from two ranks to the block of their pair; `waste` where i < j or where they share no point."""
+    if images <= DENSE_TABLE:
+        table = np.full((images, images), waste, np.int32)
+        table[pairs[:, 0], pairs[:, 1]] = np.arange(len(pairs))
+        return lambda i, j: table[i, j]
+    code = pairs[:, 0] * np.int64(images) + pairs[:, 1]
+
+    def find(i: np.ndarray, j: np.ndarray) -> np.ndarray:
+        wanted = i * np.int64(images) + j
+        at = np.minimum(np.searchsorted(code, wanted), len(code) - 1)
+        return np.where(code[at] == wanted, at, waste)
+
+    return find
+
+
+def arrange(
+    structure: Structure,
+    groups: tuple[ObservationGroup, ...],
+    centres: Float[np.ndarray, "image 3"] | None,
+    devices: int,
+    solver: Method = "auto",
+) -> Arrangement:
+    """Plans the elimination. `centres`: approximate projection centres, a hint for the order of the points."""
+    images, cameras, own = len(structure.image_names), len(structure.cameras), own_cameras(structure)
+    q = len(structure.interior_columns)
+    kept = kept_points(structure, groups)
+    touching = [_group_image_pairs(structure, group, own) for group in groups]
+    extra = [pairs for pairs in touching if pairs is not None]
+    keep = kept[structure.ray_point]
+    rays = np.nonzero(~keep)[0]
+    if np.any(np.diff(structure.ray_point[rays]) < 0):
+        rays = rays[np.argsort(structure.ray_point[rays], kind="stable")]
+    number = np.cumsum(~kept) - 1
+    ray_point = number[structure.ray_point[rays]]
+    ray_image = structure.ray_image[rays]
+    graph = ordering.image_graph(
+        ray_image, ray_point, images, int((~kept).sum()), np.concatenate(extra) if extra else None
+    )
+    d, shared = (6 + q, 0) if own else (6, q)
+    padded_kept = grid_size(int(kept.sum()), 8) if kept.any() else 0
+    reduced = reduced_plan(graph, images, d, devices, solver)
+    padded_images = reduced.images
+
+    row = reduced.rank
+    ranked = np.empty((images, 3))
+    ranked[row] = centres if centres is not None else np.stack([row, 0 * row, 0 * row], 1)
+    tiles = tiling(row[ray_image], ray_point, int((~kept).sum()), images, ranked, devices)
+    tiles.slot_image[tiles.slot_image == images] = padded_images - 1
+    waste = reduced.pool - 1
+    pair, offset = _pair_lists(tiles, reduced.pairs, padded_images, waste)
+    find = _pair_finder(reduced.pairs, padded_images, waste)
+    places = devices * tiles.tiles * tiles.width
+    point = np.empty(len(kept), np.int64)
+    point[~kept], point[kept] = tiles.place, places + np.arange(kept.sum())
+    camera = row[np.argsort(structure.image_camera)] if own else np.arange(cameras)
+    return Arrangement(
+        Order(row, camera, point, padded_images, padded_images if own else cameras, places + padded_kept),
+        Shape(d, shared, 0 if own else cameras, padded_kept, reduced.pool),
+        tiles,
+        rays,
+        np.nonzero(kept)[0],
+        np.nonzero(keep)[0],
+        pair,
+        offset,
+        find(np.arange(padded_images), np.arange(padded_images)),
+        tuple(None if p is None else find(row[p].max(1), row[p].min(1)) for p in touching),
+        reduced.solver,
+        devices,
+    )
+
+
+def _spread(values, index: Int[np.ndarray, " entity"], size: int, filling: float):
+    """Columns of `values` put to their places among `size`; the other places hold `filling`."""
+    xp = jnp if isinstance(values, jax.core.Tracer) else np
+    source = np.full(size, values.shape[1])
+    source[index] = np.arange(values.shape[1])
+    return xp.concatenate([values, xp.full((values.shape[0], 1), filling, values.dtype)], 1)[:, source]
+
+
+def arranged_unknowns(a: Arrangement, unknowns: Unknowns) -> Arranged:
+    """The unknowns of a block in the order of elimination."""
+    o = a.order
+    identity = np.eye(3).reshape(9, 1)
+    rotation = _spread(unknowns.rotation - identity, o.image, o.images, 0.0) + identity
+    points = _spread(unknowns.points, o.point, o.points, 0.0)
+    images = Unknowns(
+        jnp.asarray(rotation),
+        jnp.asarray(_spread(unknowns.centre, o.image, o.images, 0.0)),
+        jnp.asarray(_spread(unknowns.interior, o.camera, o.cameras, 1.0)),
+        jnp.asarray(points[:, a.places :]),
+    )
+    return Arranged(images, jnp.asarray(points[:, : a.places].reshape(3, -1, a.tiling.width)))
+
+
+def restored_unknowns(a: Arrangement, arranged: Arranged) -> Unknowns:
+    """The unknowns in the order of the block."""
+    flat = arranged.flat()
+    o = a.order
+    return Unknowns(
+        flat.rotation[:, o.image], flat.centre[:, o.image], flat.interior[:, o.camera], flat.points[:, o.point]
+    )
+
+
+def problem(a: Arrangement, block: Block) -> Problem:
+    """The observations of a block in the order of elimination; concrete ones are laid out by the host."""
+    o, structure = a.order, block.structure
+    image_camera = np.arange(o.images)  # where every image has its own camera, so have the dummies
+    if a.shape.cameras:
+        image_camera = np.zeros(o.images, int)
+        image_camera[o.image] = o.camera[structure.image_camera]
+    maps = {"image": o.image, "camera": o.camera, "point": o.point}
+    groups = []
+    for group in block.groups:
+        kind, indices = group.structure.kind, group.structure.indices.T
+        index = np.stack([maps[k][i] for k, i in zip(kind.touches, indices, strict=True)])
+        groups.append(Group(kind, jnp.asarray(index, jnp.int32), group.values.T, group.weights.T))
+    column = np.full(o.points, a.shape.border)
+    column[a.places :] = a.shape.shared * a.shape.cameras + 3 * np.arange(o.points - a.places)
+    none = jnp.zeros(0, jnp.int32)
+    interior_free = structure.interior_free.T[list(structure.interior_columns)]
+    observations = Observations(
+        structure.model,
+        structure.interior_columns,
+        structure.rotation_system,
+        jnp.asarray(image_camera, jnp.int32),
+        none,
+        none,
+        jnp.zeros((2, 0)),
+        jnp.zeros((2, 0)),
+        tuple(groups),
+        jnp.asarray(_spread(structure.exterior_free.T, o.image, o.images, False)),
+        jnp.asarray(_spread(interior_free, o.camera, o.cameras, False)),
+        jnp.asarray(_spread(structure.point_free.T, o.point, o.points, False)),
+        jnp.asarray(_spread(corrected_in_angles(structure)[None], o.image, o.images, False)[0]),
+    )
+    return Problem(
+        observations,
+        _tiles(a, block),
+        _kept_rays(a, block),
+        jnp.asarray(a.diagonal_pair),
+        tuple(None if p is None else jnp.asarray(p) for p in a.group_pairs),
+        jnp.asarray(column, jnp.int32),
+        jnp.arange(o.cameras),  # own cameras stand in the order of their images
+        a.reduced,
+        a.shape,
+        a.devices,
+    )
+
+
+def _tiles(a: Arrangement, block: Block) -> Tiles:
+    """The rays of eliminated points as cells."""
+    t = a.tiling
+    cell = np.append(a.rays, 0)[t.ray]  # -1, no ray, reads the appended one and gets weight 0
+    xp = np if block.concrete else jnp
+    coordinates, sigmas = xp.asarray(block.rays.coordinates), xp.asarray(block.rays.sigmas)
+    measured = xp.stack([coordinates[:, k][cell] for k in range(2)], 2)
+    weights = xp.stack([xp.where(t.ray >= 0, (1 / sigmas[:, k])[cell], 0.0) for k in range(2)], 2)
+    return Tiles(
+        *(jnp.asarray(x) for x in (t.slot_image, t.slot_tile, measured, weights)),
+        *(jnp.asarray(x) for x in (t.tile_class, a.pair_offset, t.chunks, a.pair)),
+    )
+
+
+def _kept_rays(a: Arrangement, block: Block) -> KeptRays:
+    """The rays of kept points, padded with rays of weight 0."""
+    size = grid_size(len(a.kept_rays)) if len(a.kept_rays) else 0
+    ray = np.zeros(size, int)
+    ray[: len(a.kept_rays)] = a.kept_rays
+    used = np.arange(size) < len(a.kept_rays)
+    image, point = block.structure.ray_image[ray], block.structure.ray_point[ray]
+    return KeptRays(
+        jnp.asarray(a.order.image[image], jnp.int32),
+        jnp.asarray(np.where(used, a.order.point[point] - a.places, 0), jnp.int32),
+        block.rays.coordinates[ray].T,
+        jnp.where(used, 1 / block.rays.sigmas[ray].T, 0.0),
+    )

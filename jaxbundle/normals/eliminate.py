@@ -1,0 +1,211 @@
+"""Elimination of the object points, tile by tile (Schur complement).
+
+    [ U    W ] [dt]     [g_t]         V = L L^T   3 x 3 a point
+    [ W^T  V ] [dX] = - [g_X]         E = W L^-T: one block of rows an image, z = L^-1 g_X
+
+    (U + lambda D_t - E E^T) dt = -g_t + E z            D = diag(N), Marquardt's scaling; V carries lambda D_X
+
+The Jacobian is never stored: a chunk of tiles is linearised, eliminated and forgotten. With A and B the rows of a ray,
+H = L^-1 B^T and y = H^T z, one product a slot of [A; a; v; y] with itself gives U, the coupling to the border, both
+gradients and v^T P v; one product a tile of its E with itself gives the blocks of E E^T. Shared interior elements, `a`,
+form the border: E_b = sum of the tile's rays.
+"""
+
+from typing import NamedTuple
+
+import jax.numpy as jnp
+from jax import lax
+from jaxtyping import Array, Bool, Float
+
+from jaxbundle.block.residuals import Observations
+from jaxbundle.block.unknowns import Unknowns
+from jaxbundle.normals.cells import Chunk, Tiles, at_slots, chunk_of, points_at_cells, sum_by_tile
+from jaxbundle.normals.point_blocks import PointFactor, factorise, forward
+from jaxbundle.normals.rows import ImageScalars, ray_rows
+from jaxbundle.normals.tiles import CLASSES, MOST_TILES, SLOTS
+
+PAIRS = ((0, 0), (0, 1), (0, 2), (1, 1), (1, 2), (2, 2))
+FACTOR = 12  # numbers kept of a point: factor (6), gradient (3), diagonal of V (3)
+
+
+class Shape(NamedTuple):
+    """Static sizes: unknowns an image (6, or more where every image has its own camera), interior elements a shared
+    camera, shared cameras, kept points, blocks of the pool."""
+
+    image: int
+    shared: int
+    cameras: int
+    kept: int
+    pool: int
+
+    @property
+    def border(self) -> int:
+        """Rows of the border: interior of shared cameras, then kept points."""
+        return self.shared * self.cameras + 3 * self.kept
+
+
+class ImageSums(NamedTuple):
+    """Sums over the rays of every image, and the blocks of E E^T."""
+
+    pool: Float[Array, "pair d d"]  # of E E^T, lower: the image of higher rank gives the rows; last one waste
+    image: Float[Array, "image m m"]  # [A; a; v; y] with itself
+    coupling: Float[Array, "image d border"]  # of E E_b^T
+    border: Float[Array, "border border"]  # of E_b E_b^T
+
+
+def image_table(
+    unknowns: Unknowns, turns: Float[Array, "9 3 image"], observations: Observations
+) -> Float[Array, "image number"]:
+    """What every ray takes from its image, one row an image: rotation, its derivatives, centre, interior elements."""
+    interior = unknowns.interior[:, observations.image_camera]
+    return jnp.concatenate([unknowns.rotation, turns.transpose(1, 0, 2).reshape(27, -1), unknowns.centre, interior]).T
+
+
+def _image_scalars(at: list[Array]) -> ImageScalars:
+    """A row of the table as the image equation takes it."""
+    turns = tuple(tuple(at[9 + 9 * a : 18 + 9 * a]) for a in range(3))
+    return ImageScalars(tuple(at[:9]), (turns[0], turns[1], turns[2]), (at[36], at[37], at[38]), tuple(at[39:]))
+
+
+def broadcast(image: ImageScalars, like: Array) -> ImageScalars:
+    """Rotation and interior on every cell: what is differentiated must not be summed over the columns."""
+    full = [tuple(jnp.broadcast_to(s, like.shape) for s in part) for part in (image.rotation, image.interior)]
+    return image._replace(rotation=full[0], interior=full[1])
+
+
+class Eliminated(NamedTuple):
+    """One chunk after elimination: A and H of every cell, factors of its tiles."""
+
+    chunk: Chunk
+    image_rows: tuple[list[Array], list[Array]]
+    h: tuple[tuple[Array, Array, Array], tuple[Array, Array, Array]]
+    residual: tuple[Array, Array]
+    z: list[Array]  # at the slots
+    factor: Array  # (tile, FACTOR n)
+
+
+def eliminate_chunk(
+    observations: Observations,
+    table: Array,
+    points: Float[Array, "3 tile column"],
+    prior: Float[Array, "9 tile column"] | None,
+    free: Bool[Array, "3 tile column"],
+    damping: Array,
+    tiles: Tiles,
+    c: Array,
+) -> Eliminated:
+    """Linearises and factorises the points of a chunk. `prior`: V and gradient from observations other than rays."""
+    chunk = chunk_of(tiles, c)
+    n = chunk.used.shape[1]
+    image = _image_scalars(at_slots(table, chunk.slot_image))
+    point = points_at_cells(chunk, list(points), chunk.first_tile + chunk.tile, image.rotation, image.centre)
+    scalars = broadcast(image, chunk.weights[0])
+    rows = ray_rows(observations.model, observations.columns, scalars, point, chunk.measured, chunk.weights)
+    rows = lax.optimization_barrier(rows)
+    (bx, by), (vx, vy) = rows.point, rows.residual
+    terms = [bx[i] * bx[j] + by[i] * by[j] for i, j in PAIRS] + [bx[i] * vx + by[i] * vy for i in range(3)]
+    sums = sum_by_tile(terms, chunk.tile)
+    if prior is not None:
+        sums = [s + chunk.window(p) for s, p in zip(sums, prior, strict=True)]
+    diagonal = [sums[0], sums[3], sums[5]]
+    damped = [s * (1 + damping) if k in (0, 3, 5) else s for k, s in enumerate(sums[:6])]
+    is_free = [chunk.window(f) for f in free]
+    factor = factorise(
+        (damped[0], damped[1], damped[2], damped[3], damped[4], damped[5]), (is_free[0], is_free[1], is_free[2])
+    )
+    z = forward(factor, (sums[6], sums[7], sums[8]))
+    kept = jnp.concatenate(lax.optimization_barrier([*factor, *sums[6:], *diagonal, *z]), 1)
+    at_slot = jnp.take(kept, chunk.tile, axis=0, mode="clip")
+    column = [at_slot[:, k * n : (k + 1) * n] for k in range(15)]
+    f = PointFactor(*column[:6])
+    h = lax.optimization_barrier((forward(f, bx), forward(f, by)))
+    return Eliminated(chunk, rows.image, h, (vx, vy), column[12:], kept[:, : FACTOR * n])
+
+
+def coupling_rows(e: Eliminated, first: int, count: int) -> Array:
+    """E of some unknowns of every slot: (slot, count * 3 n), by unknown, coordinate, column."""
+    (ax, ay), (hx, hy) = e.image_rows, e.h
+    blocks = [ax[a] * hx[k] + ay[a] * hy[k] for a in range(first, first + count) for k in range(3)]
+    return jnp.concatenate(lax.optimization_barrier(blocks), 1)
+
+
+def _image_products(e: Eliminated) -> Array:
+    """[A; a; v; y] with itself, (slot, m, m)."""
+    (ax, ay), (vx, vy), (hx, hy) = e.image_rows, e.residual, e.h
+    y = [sum(h[k] * e.z[k] for k in range(3)) for h in (hx, hy)]
+    pairs = [*zip(ax, ay, strict=True), (vx, vy), (y[0], y[1])]
+    rows = jnp.concatenate(lax.optimization_barrier([x for pair in pairs for x in pair]), 1)
+    rows = rows.reshape(SLOTS, len(pairs), -1)
+    return lax.dot_general(rows, rows, (((2,), (2,)), ((0,), (0,))))
+
+
+def _add_tile_products(pool: Array, coupling: Array, tiles: Tiles, c: Array, count: Array, d: int) -> Array:
+    """Adds E E^T of every tile of the chunk to the pool; one loop a class, of which one turns."""
+    kind = lax.dynamic_index_in_dim(tiles.tile_class, c, 0, False)
+    offset = lax.dynamic_index_in_dim(tiles.pair_offset, c, 0, False)
+
+    def add_tiles(size: int):
+        def add(t: Array, pool: Array) -> Array:
+            # the factor must depend on the turn, else the product is hoisted out of the loop and done for every class
+            e = lax.dynamic_slice_in_dim(coupling, t * size, size, 0) if size < SLOTS else coupling * (1 + t)
+            e = e.reshape(size * d, -1)
+            product = lax.dot_general(e, e, (((1,), (1,)), ((), ()))).reshape(size, d, size, d).transpose(0, 2, 1, 3)
+            block = lax.dynamic_slice_in_dim(tiles.pair, offset + t * size * size, size * size, 0)
+            return pool.at[block].add(product.reshape(size * size, d, d), mode="promise_in_bounds")
+
+        return add
+
+    for k, size in enumerate(CLASSES):
+        pool = lax.fori_loop(0, jnp.where(kind == k, count, 0), add_tiles(size), pool)
+    return pool
+
+
+def border_rows(e: Eliminated, observations: Observations, shape: Shape) -> Float[Array, "tile border 3n"]:
+    """E_b of every tile: the rows of its rays summed by camera."""
+    rows = coupling_rows(e, shape.image, shape.shared)
+    camera = observations.image_camera[e.chunk.slot_image]
+    of_tile = e.chunk.tile[None, None, :] == jnp.arange(MOST_TILES)[:, None, None]
+    of_camera = camera[None, None, :] == jnp.arange(shape.cameras)[None, :, None]
+    chosen = (of_tile & of_camera).astype(rows.dtype).reshape(-1, SLOTS)
+    return (chosen @ rows).reshape(MOST_TILES, shape.cameras * shape.shared, -1)
+
+
+def eliminate(
+    observations: Observations,
+    table: Array,
+    points: Float[Array, "3 tile column"],
+    prior: Float[Array, "9 tile column"] | None,
+    free: Bool[Array, "3 tile column"],
+    damping: Array,
+    tiles: Tiles,
+    shape: Shape,
+) -> tuple[ImageSums, Float[Array, "tile numbers"]]:
+    """All chunks of one device: sums for the reduced equations, and factor, gradient and diagonal of every point."""
+    d, q, images, n = shape.image, shape.shared, table.shape[0], points.shape[2]
+    m, border = d + q + 2, q * shape.cameras
+
+    def add_chunk(c: Array, carry: tuple[ImageSums, Array]) -> tuple[ImageSums, Array]:
+        sums, factors = carry
+        e = eliminate_chunk(observations, table, points, prior, free, damping, tiles, c)
+        image = sums.image.at[e.chunk.slot_image].add(_image_products(e), mode="promise_in_bounds")
+        coupling = coupling_rows(e, 0, d)
+        pool = _add_tile_products(sums.pool, coupling, tiles, c, e.chunk.count, d)
+        sums = sums._replace(pool=pool, image=image)
+        if border:
+            eb = border_rows(e, observations, shape)
+            at_slot = jnp.take(eb, e.chunk.tile, axis=0, mode="clip")
+            cross = lax.dot_general(coupling.reshape(SLOTS, d, -1), at_slot, (((2,), (2,)), ((0,), (0,))))
+            sums = sums._replace(
+                coupling=sums.coupling.at[e.chunk.slot_image].add(cross, mode="promise_in_bounds"),
+                border=sums.border + jnp.einsum("tik,tjk->ij", eb, eb),
+            )
+        start = e.chunk.first_tile, jnp.zeros_like(e.chunk.first_tile)
+        return sums, lax.dynamic_update_slice(factors, e.factor, start)
+
+    sums = ImageSums(
+        jnp.zeros((shape.pool, d, d)),
+        jnp.zeros((images, m, m)),
+        jnp.zeros((images, d, border)),
+        jnp.zeros((border, border)),
+    )
+    return lax.fori_loop(0, tiles.chunks, add_chunk, (sums, jnp.zeros((points.shape[1], FACTOR * n))))

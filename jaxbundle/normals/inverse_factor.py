@@ -1,0 +1,53 @@
+"""Inverse of the Cholesky factor of one symmetric matrix, A = L L^T -> L^-1, in plain lax.
+
+Eliminating [A | I] by panels of s rows turns the right half into L^-1:
+
+    C = L_kk^-1,   P = A_k C^T below the panel,   W_k <- C W_k,   W <- W - P W_k,   A <- A - P P^T.
+
+LAPACK is not called: its threads and XLA's fight for the same cores.
+"""
+
+import jax.numpy as jnp
+from jax import lax
+from jaxtyping import Array, Float
+
+PANEL = 16
+
+
+def inverse_factor(matrix: Float[Array, "n n"]) -> Float[Array, "n n"]:
+    """L^-1 of a symmetric matrix; NaN from the first row on whose pivot is not positive."""
+    size = matrix.shape[0]
+    if size == 0:
+        return matrix
+    padded = -(-size // PANEL) * PANEL
+    if padded != size:
+        matrix = jnp.eye(padded).at[:size, :size].set(matrix)
+    row = jnp.arange(padded)[:, None]
+
+    def panel(k: Array, carry: tuple[Array, Array]) -> tuple[Array, Array]:
+        left, right = carry
+        first = k * PANEL
+        inverse = _small(lax.dynamic_slice(left, (first, first), (PANEL, PANEL)))
+        below = jnp.where(row >= first + PANEL, lax.dynamic_slice_in_dim(left, first, PANEL, 1) @ inverse.T, 0.0)
+        done = inverse @ lax.dynamic_slice_in_dim(right, first, PANEL, 0)
+        # chosen, not multiplied by 0: a NaN must not reach the rows above
+        right = jnp.where(row >= first + PANEL, right - below @ done, right)
+        return left - below @ below.T, lax.dynamic_update_slice_in_dim(right, done, first, 0)
+
+    return lax.fori_loop(0, padded // PANEL, panel, (matrix, jnp.eye(padded)))[1][:size, :size]
+
+
+def _small(matrix: Float[Array, "s s"]) -> Float[Array, "s s"]:
+    """The same for one panel, row by row."""
+    size = matrix.shape[0]
+    row = jnp.arange(size)[:, None]
+
+    def eliminate(j: Array, t: Array) -> Array:
+        pivot_row = lax.dynamic_slice_in_dim(t, j, 1, 0)
+        scale = lax.rsqrt(lax.dynamic_slice_in_dim(pivot_row, j, 1, 1))
+        pivot_row = pivot_row * scale
+        factor = lax.dynamic_slice_in_dim(t, j, 1, 1) * scale
+        t = jnp.where(row > j, t - factor * pivot_row, t)
+        return lax.dynamic_update_slice_in_dim(t, pivot_row, j, 0)
+
+    return lax.fori_loop(0, size, eliminate, jnp.concatenate([matrix, jnp.eye(size)], 1))[:, size:]

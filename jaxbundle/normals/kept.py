@@ -1,0 +1,175 @@
+"""Observations and rays that touch more than one eliminated point: their part of the reduced normal equations.
+
+Their unknowns are rows of the images' blocks (exterior orientation, and the interior of an image's own camera) or of
+the border (interior of shared cameras, then kept points):
+
+    [ S_II  S_Ib ]     S_II  blocks d x d of pairs of images: diagonal ones apart, the others in the pool
+    [       S_bb ]     S_Ib  d rows an image, S_bb dense
+"""
+
+from typing import NamedTuple
+
+import equinox as eqx
+import jax.numpy as jnp
+from jaxtyping import Array, Float, Int
+
+from jaxbundle.block.residuals import Group, Observations
+from jaxbundle.block.unknowns import Unknowns
+from jaxbundle.normals.eliminate import PAIRS, Shape
+from jaxbundle.normals.rows import GroupRows, ImageScalars, group_rows, ray_rows
+
+
+class KeptRays(eqx.Module):
+    """Rays of points that are not eliminated; padded with rays of weight 0. `point` counts the kept points."""
+
+    image: Int[Array, " ray"]
+    point: Int[Array, " ray"]
+    measured: Float[Array, "2 ray"]
+    weights: Float[Array, "2 ray"]
+
+
+class KeptSums(NamedTuple):
+    """Normal equations of the kept unknowns; `pool` is None where no observation touches two images."""
+
+    diagonal: Float[Array, "image d d"]
+    gradient: Float[Array, "image d"]
+    coupling: Float[Array, "image d border"]
+    border: Float[Array, "border border"]
+    border_gradient: Float[Array, " border"]
+    pool: Float[Array, "pair d d"] | None
+
+
+class _Touched(NamedTuple):
+    """Rows (component, parameter, member) of one touched entity: in an image's block or in columns of the border."""
+
+    rows: Float[Array, "component parameter member"]
+    image: Int[Array, " member"] | None
+    columns: Int[Array, "member parameter"] | None
+
+
+def no_sums(images: int, d: int, border: int, pool: int | None) -> KeptSums:
+    """Sums of nothing."""
+    return KeptSums(
+        jnp.zeros((images, d, d)),
+        jnp.zeros((images, d)),
+        jnp.zeros((images, d, border)),
+        jnp.zeros((border, border)),
+        jnp.zeros(border),
+        None if pool is None else jnp.zeros((pool, d, d)),
+    )
+
+
+def add_rows(
+    sums: KeptSums, touched: list[_Touched], residuals: Float[Array, "component member"], pairs: Array | None
+) -> KeptSums:
+    """Adds observations. `pairs`: the pool's block of the first two touched images, where they are two."""
+    for i, a in enumerate(touched):
+        gradient = jnp.einsum("cpm,cm->mp", a.rows, residuals)
+        if a.image is None:
+            sums = sums._replace(border_gradient=sums.border_gradient.at[a.columns].add(gradient, mode="drop"))
+        else:
+            sums = sums._replace(gradient=sums.gradient.at[a.image].add(gradient))
+        for j, b in enumerate(touched):
+            products = jnp.einsum("cpm,cqm->mpq", a.rows, b.rows)
+            if a.image is None and b.image is None:
+                index = a.columns[:, :, None], b.columns[:, None, :]
+                sums = sums._replace(border=sums.border.at[index].add(products, mode="drop"))
+            elif a.image is not None and b.image is None:
+                index = a.image[:, None, None], jnp.arange(products.shape[1])[:, None], b.columns[:, None, :]
+                sums = sums._replace(coupling=sums.coupling.at[index].add(products, mode="drop"))
+            elif a.image is not None and b.image is not None:
+                same = (a.image == b.image)[:, None, None]
+                sums = sums._replace(diagonal=sums.diagonal.at[a.image].add(jnp.where(same, products, 0.0)))
+                if i != j and sums.pool is not None:
+                    lower = (a.image > b.image)[:, None, None]
+                    sums = sums._replace(pool=sums.pool.at[pairs].add(jnp.where(lower, products, 0.0)))
+    return sums
+
+
+def _padded_rows(rows: Array, first: int, d: int) -> Array:
+    """Rows of some elements of an image's block as rows of the whole block."""
+    return jnp.pad(rows, ((0, 0), (first, d - first - rows.shape[1]), (0, 0)))
+
+
+def _touched_by_group(
+    group: Group, rows: GroupRows, shape: Shape, point_column: Array, camera_image: Array
+) -> list[_Touched]:
+    """Where the rows of a group belong."""
+    touched = []
+    for kind, index, row in zip(group.kind.touches, group.indices, rows.rows, strict=True):
+        if kind == "image":
+            touched.append(_Touched(_padded_rows(row, 0, shape.image), index, None))
+        elif kind == "camera" and not shape.shared:
+            touched.append(_Touched(_padded_rows(row, 6, shape.image), camera_image[index], None))
+        else:
+            first = point_column[index] if kind == "point" else shape.shared * index
+            touched.append(_Touched(row, None, first[:, None] + jnp.arange(row.shape[1])))
+    return touched
+
+
+def add_group(
+    sums: KeptSums,
+    prior: Array | None,
+    group: Group,
+    pairs: Array | None,
+    unknowns: Unknowns,
+    turns: Float[Array, "9 3 image"],
+    observations: Observations,
+    shape: Shape,
+    point_column: Array,
+    camera_image: Array,
+) -> tuple[KeptSums, Array | None]:
+    """Adds a group of observations; what touches one eliminated point only goes into `prior` (9, place)."""
+    rows = group_rows(group, unknowns, turns, observations.columns)
+    sums = add_rows(sums, _touched_by_group(group, rows, shape, point_column, camera_image), rows.residuals, pairs)
+    if group.kind.touches == ("point",) and prior is not None:
+        b = rows.rows[0]
+        terms = [jnp.sum(b[:, i] * b[:, j], 0) for i, j in PAIRS]
+        terms += [jnp.sum(b[:, i] * rows.residuals, 0) for i in range(3)]
+        prior = prior.at[:, group.indices[0]].add(jnp.stack(terms), mode="drop")
+    return sums, prior
+
+
+def add_kept_rays(
+    sums: KeptSums,
+    rays: KeptRays,
+    unknowns: Unknowns,
+    turns: Float[Array, "9 3 image"],
+    observations: Observations,
+    shape: Shape,
+) -> KeptSums:
+    """Adds the rays of kept points; `unknowns.points` are the kept points."""
+    if rays.image.shape[0] == 0:
+        return sums
+    turn = turns[:, :, rays.image]
+    camera = observations.image_camera[rays.image]
+    centre = tuple(unknowns.centre[:, rays.image])
+    rotation = tuple(unknowns.rotation[:, rays.image])
+    used = (rays.weights[0] > 0) | (rays.weights[1] > 0)
+    ahead = [x - r for x, r in zip(centre, rotation[2::3], strict=True)]
+    point = [jnp.where(used, x, s) for x, s in zip(unknowns.points[:, rays.point], ahead, strict=True)]
+    scalars = ImageScalars(
+        rotation,
+        (tuple(turn[:, 0]), tuple(turn[:, 1]), tuple(turn[:, 2])),
+        (centre[0], centre[1], centre[2]),
+        tuple(unknowns.interior[:, camera]),
+    )
+    rows = ray_rows(
+        observations.model,
+        observations.columns,
+        scalars,
+        (point[0], point[1], point[2]),
+        (rays.measured[0], rays.measured[1]),
+        (rays.weights[0], rays.weights[1]),
+    )
+    of_image = jnp.stack([jnp.stack(row) for row in rows.image])
+    of_point = jnp.stack([jnp.stack(row) for row in rows.point])
+    first = shape.shared * shape.cameras + 3 * rays.point
+    touched = [
+        _Touched(of_image[:, : shape.image], rays.image, None),
+        _Touched(of_point, None, first[:, None] + jnp.arange(3)),
+    ]
+    if shape.shared:
+        columns = shape.shared * camera[:, None] + jnp.arange(shape.shared)
+        touched.append(_Touched(of_image[:, shape.image :], None, columns))
+    return add_rows(sums, touched, jnp.stack(rows.residual), None)

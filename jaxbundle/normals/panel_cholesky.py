@@ -1,0 +1,238 @@
+"""Block-sparse Cholesky factorisation of the reduced matrix on its tiles, A = L L^T.
+
+Factorisation, column J with the panels R below it, C_J = L_JJ^-1 kept in place of L_JJ:
+
+    L_RJ = A_RJ C_J^T,     A_AB <- A_AB - L_AJ L_BJ^T     A >= B in R
+
+Substitution:   y_J = C_J r_J,  r_R <- r_R - L_RJ y_J;     x_J = C_J^T (y_J - L_RJ^T x_R), last column first.
+
+Inverse on the pattern of L, last column first (Takahashi, Fagan & Chen 1973, in blocks), with K = L_RJ C_J:
+
+    Z_RJ = -Z_RR K,        Z_JJ = C_J^T C_J - K^T Z_RJ
+
+Two devices: each has the columns of one end of the band; the tiles of the separator are summed over the devices, and
+from there on both do the same.
+"""
+
+from typing import NamedTuple
+
+import equinox as eqx
+import jax
+import jax.numpy as jnp
+from jax import lax
+from jaxtyping import Array, Bool, Float, Int
+
+from jaxbundle.normals.image_factor import AbstractImageFactor
+from jaxbundle.normals.inverse_factor import inverse_factor
+from jaxbundle.normals.symbolic import Columns, PanelStructure
+
+Tiles = Float[Array, "tile b b"]
+Sides = Float[Array, "panel b k"]
+
+
+class _Part(NamedTuple):
+    """This device's lists, how many of its panels and tiles belong to its end, and whether the separator is its own."""
+
+    ends: Columns | None
+    separator: Columns
+    position: Int[Array, " image"]
+    pair_place: Int[Array, "pair 3"]
+    end_tiles: int
+    end_panels: int
+    panels: int
+    leads: Bool[Array, ""]
+
+
+class PanelCholesky(AbstractImageFactor[Tiles]):
+    """Sparse, on the tiles of `structure`; the factor is this device's tiles. `axis`: of the devices, None for one."""
+
+    structure: PanelStructure
+    axis: str | None = eqx.field(static=True)
+
+    def factorise(self, pool: Float[Array, "pair d d"]) -> Tiles:
+        part = self._part()
+        tiles, empty = _assemble(part, pool), _empty(part, pool.shape[1])
+        if part.ends is not None:
+            tiles = _factorise(tiles, empty, part.ends, 0, 0)
+            tiles = tiles.at[part.end_tiles :].set(self._sum(tiles[part.end_tiles :]))
+        return _factorise(tiles, empty, part.separator, part.end_tiles, part.end_panels)
+
+    def pivots(self, factor: Tiles, images: int, d: int) -> Float[Array, "image d"]:
+        part = self._part()
+        separator = factor[part.end_tiles : part.end_tiles + part.panels - part.end_panels]
+        diagonal = jnp.concatenate([factor[: part.end_panels], separator])
+        shares = 1 / jnp.diagonal(diagonal, axis1=1, axis2=2) ** 2
+        return self._to_images(part, shares[..., None], d)[..., 0]
+
+    def forward(self, factor: Tiles, right: Float[Array, "image d k"]) -> Float[Array, "image d k"]:
+        part = self._part()
+        y = _to_panels(part, right)
+        if part.ends is not None:
+            y = _own(part, y)
+            y = _forward(factor, y, part.ends, 0, 0)
+            y = y.at[part.end_panels :].set(self._sum(y[part.end_panels :]))
+        y = _forward(factor, y, part.separator, part.end_tiles, part.end_panels)
+        return self._to_images(part, y, right.shape[1])
+
+    def backward(self, factor: Tiles, right: Float[Array, "image d k"]) -> Float[Array, "image d k"]:
+        part = self._part()
+        x = _backward(factor, _to_panels(part, right), part.separator, part.end_tiles, part.end_panels)
+        if part.ends is not None:
+            x = _backward(factor, x, part.ends, 0, 0)
+        return self._to_images(part, x, right.shape[1])
+
+    def selected_inverse(self, factor: Tiles, d: int) -> Float[Array, "pair d d"]:
+        part = self._part()
+        factor, z = _selected_inverse(factor, jnp.zeros_like(factor), part.separator, part.end_tiles)
+        if part.ends is not None:
+            _, z = _selected_inverse(factor, z, part.ends, 0)
+        q = factor.shape[1] // d
+        tile, row, column = part.pair_place.T
+        blocks = z.reshape(-1, q, d, q, d).at[tile, row, :, column].get(mode="fill", fill_value=0.0)
+        return self._sum(blocks) if part.ends is not None else blocks
+
+    def _part(self) -> _Part:
+        device = jnp.asarray(0) if self.axis is None or self.structure.ends is None else lax.axis_index(self.axis)
+        s = jax.tree.map(lambda x: x[device], self.structure)
+        end_panels, end_tiles = (0, 0) if s.ends is None else _sizes(s.ends)
+        panels = end_panels + _sizes(s.separator)[0]
+        return _Part(s.ends, s.separator, s.position, s.pair_place, end_tiles, end_panels, panels, device == 0)
+
+    def _sum(self, x: Array) -> Array:
+        return lax.psum(x, self.axis)
+
+    def _to_images(self, part: _Part, y: Sides, d: int) -> Float[Array, "image d k"]:
+        if part.ends is not None:
+            y = _own(part, y)
+        x = y.reshape(-1, d, y.shape[2]).at[part.position].get(mode="fill", fill_value=0.0)
+        return self._sum(x) if part.ends is not None else x
+
+
+def _sizes(columns: Columns) -> tuple[int, int]:
+    """Padded numbers of panels and of tiles."""
+    return columns.first_below.shape[0] - 1, columns.block.shape[0]
+
+
+def _to_panels(part: _Part, right: Float[Array, "image d k"]) -> Sides:
+    q = part.separator.block.shape[1]
+    images, d, k = right.shape
+    return jnp.zeros((part.panels * q, d, k)).at[part.position].set(right, mode="drop").reshape(-1, q * d, k)
+
+
+def _own(part: _Part, y: Sides) -> Sides:
+    """0 in the separator on all devices but the first."""
+    end = jnp.arange(part.panels) < part.end_panels
+    return jnp.where((end | part.leads)[:, None, None], y, 0.0)
+
+
+def _empty(part: _Part, d: int) -> Float[Array, "panel b"]:
+    """1 in the rows of a panel that have no image."""
+    q = part.separator.block.shape[1]
+    empty = jnp.ones(part.panels * q).at[part.position].set(0.0, mode="drop")
+    return jnp.repeat(empty, d).reshape(part.panels, q * d)
+
+
+def _assemble(part: _Part, pool: Float[Array, "pair d d"]) -> Tiles:
+    """The pool's blocks at their places."""
+    block = part.separator.block
+    if part.ends is not None:
+        block = jnp.concatenate([part.ends.block, block])
+    tiles, q, _ = block.shape
+    b = q * pool.shape[1]
+    return jnp.take(pool, block, axis=0, mode="clip").transpose(0, 1, 3, 2, 4).reshape(tiles, b, b)
+
+
+def _at(x: Array, i: Array) -> Array:
+    return lax.dynamic_index_in_dim(x, i, 0, False)
+
+
+def _put(x: Array, value: Array, i: Array) -> Array:
+    return lax.dynamic_update_index_in_dim(x, value, i, 0)
+
+
+def _factorise(
+    tiles: Tiles, empty: Float[Array, "panel b"], columns: Columns, first_tile: int, first_panel: int
+) -> Tiles:
+    def column(j: Array, tiles: Array) -> Array:
+        lower = jnp.tril(_at(tiles, first_tile + j))
+        inverse = inverse_factor(lower + jnp.tril(lower, -1).T + jnp.diag(_at(empty, first_panel + j)))
+        tiles = _put(tiles, inverse, first_tile + j)
+
+        def below(i: Array, tiles: Array) -> Array:
+            a = columns.below[i, 0]
+            return _put(tiles, _at(tiles, a) @ inverse.T, a)
+
+        def update(i: Array, tiles: Array) -> Array:
+            a, b, target = columns.update[i]
+            return _put(tiles, _at(tiles, target) - _at(tiles, a) @ _at(tiles, b).T, target)
+
+        tiles = lax.fori_loop(columns.first_below[j], columns.first_below[j + 1], below, tiles)
+        return lax.fori_loop(columns.first_update[j], columns.first_update[j + 1], update, tiles)
+
+    return lax.fori_loop(0, columns.count, column, tiles)
+
+
+def _forward(tiles: Tiles, y: Sides, columns: Columns, first_tile: int, first_panel: int) -> Sides:
+    def column(j: Array, y: Array) -> Array:
+        own = _at(tiles, first_tile + j) @ _at(y, first_panel + j)
+
+        def below(i: Array, y: Array) -> Array:
+            a, row = columns.below[i]
+            return _put(y, _at(y, row) - _at(tiles, a) @ own, row)
+
+        y = _put(y, own, first_panel + j)
+        return lax.fori_loop(columns.first_below[j], columns.first_below[j + 1], below, y)
+
+    return lax.fori_loop(0, columns.count, column, y)
+
+
+def _backward(tiles: Tiles, y: Sides, columns: Columns, first_tile: int, first_panel: int) -> Sides:
+    def column(step: Array, y: Array) -> Array:
+        j = columns.count - 1 - step
+
+        def below(i: Array, own: Array) -> Array:
+            a, row = columns.below[i]
+            return own - _at(tiles, a).T @ _at(y, row)
+
+        own = _at(y, first_panel + j)
+        own = lax.fori_loop(columns.first_below[j], columns.first_below[j + 1], below, own)
+        return _put(y, _at(tiles, first_tile + j).T @ own, first_panel + j)
+
+    return lax.fori_loop(0, columns.count, column, y)
+
+
+def _selected_inverse(tiles: Tiles, z: Tiles, columns: Columns, first_tile: int) -> tuple[Tiles, Tiles]:
+    """Z in the columns given, and K in place of L there."""
+
+    def column(step: Array, carry: tuple[Array, Array]) -> tuple[Array, Array]:
+        j = columns.count - 1 - step
+        inverse = _at(carry[0], first_tile + j)
+        first, end = columns.first_below[j], columns.first_below[j + 1]
+        update, last = columns.first_update[j], columns.first_update[j + 1]
+
+        def below(i: Array, k: Array) -> Array:
+            a = columns.below[i, 0]
+            return _put(k, _at(k, a) @ inverse, a)
+
+        k = lax.fori_loop(first, end, below, carry[0])
+
+        # two passes: a turn that changes two tiles of z makes XLA copy it all
+        def left(i: Array, z: Array) -> Array:
+            a, b, target = columns.update[i]
+            return _put(z, _at(z, a) - _at(z, target) @ _at(k, b), a)
+
+        def right(i: Array, z: Array) -> Array:
+            a, b, target = columns.update[i]
+            return _put(z, _at(z, b) - _at(z, target).T @ _at(k, a), b)
+
+        z = lax.fori_loop(update, last, left, carry[1])
+        z = lax.fori_loop(update + end - first, last, right, z)  # the first ones are diagonal tiles
+        own = lax.fori_loop(
+            first,
+            end,
+            lambda i, s: s - _at(k, columns.below[i, 0]).T @ _at(z, columns.below[i, 0]),
+            inverse.T @ inverse,
+        )
+        return k, _put(z, own, first_tile + j)
+
+    return lax.fori_loop(0, columns.count, column, (tiles, z))

@@ -1,0 +1,259 @@
+"""One trial step of the adjustment, on one device or on several.
+
+    linearise and eliminate (tiles)  ->  reduced equations  ->  solve  ->  substitute back and evaluate (tiles)
+
+The tiles are dealt to the devices, the sums over the images added up over them; all solve the reduced equations.
+"""
+
+from typing import NamedTuple
+
+import equinox as eqx
+import jax
+import jax.numpy as jnp
+from jax import lax
+from jax.sharding import PartitionSpec
+from jaxtyping import Array, Bool, Float
+
+from jaxbundle.block.residuals import group_residuals
+from jaxbundle.block.unknowns import Correction, Unknowns, attitude_derivatives, corrected
+from jaxbundle.normals.arrange import Arranged, Problem
+from jaxbundle.normals.cells import Tiles
+from jaxbundle.normals.eliminate import ImageSums, eliminate, image_table
+from jaxbundle.normals.kept import KeptSums, add_group, add_kept_rays, no_sums
+from jaxbundle.normals.reduced_system import ReducedSystem, factorise, step
+from jaxbundle.normals.rows import image_equation
+from jaxbundle.normals.substitute import image_values, substitute
+
+AXIS = "device"
+
+
+class Trial(NamedTuple):
+    """A trial step at some damping; all reductions belong to v^T P v / 2."""
+
+    unknowns: Arranged
+    cost: Float[Array, ""]
+    reduction: Float[Array, ""]
+    predicted: Float[Array, ""]
+    moved_residuals: Float[Array, ""]  # |J d|^2
+    noise: Float[Array, ""]
+    finite: Bool[Array, ""]
+
+
+class Linearised(NamedTuple):
+    """What is formed once a linearisation, outside of the tiles."""
+
+    turns: Float[Array, "9 3 image"]
+    table: Float[Array, "image number"]
+    kept: KeptSums
+    prior: Float[Array, "9 tile column"] | None
+
+
+def linearise(unknowns: Arranged, p: Problem) -> Linearised:
+    """Tables of the images, and the observations that are no rays of eliminated points."""
+    o, images, shape = p.observations, unknowns.images, p.shape
+    turns = attitude_derivatives(images.rotation, o.in_angles, o.system)
+    two_images = any(pairs is not None for pairs in p.group_pairs)
+    sums = no_sums(images.rotation.shape[1], shape.image, shape.border, shape.pool if two_images else None)
+    sums = add_kept_rays(sums, p.kept_rays, images, turns, o, shape)
+    flat = unknowns.flat() if o.groups else images
+    on_points = any(group.kind.touches == ("point",) for group in o.groups)
+    prior = jnp.zeros((9, unknowns.tiles.shape[1] * unknowns.tiles.shape[2])) if on_points else None
+    for group, pairs in zip(o.groups, p.group_pairs, strict=True):
+        sums, prior = add_group(sums, prior, group, pairs, flat, turns, o, shape, p.point_column, p.camera_image)
+    table = image_table(images, turns, o)
+    return Linearised(turns, table, sums, None if prior is None else prior.reshape(9, *unknowns.tiles.shape[1:]))
+
+
+class Reduced(NamedTuple):
+    """The reduced system and the gradient of the kept unknowns before elimination."""
+
+    system: ReducedSystem
+    gradient: Float[Array, "image d"]
+    border_gradient: Float[Array, " border"]
+
+
+def reduced_system(rays: ImageSums, kept: KeptSums, p: Problem) -> Reduced:
+    """The reduced normal equations of images and border from all sums."""
+    o, (d, q, cameras, kept_points, _) = p.observations, p.shape
+    m, inner = d + q + 2, q * cameras
+    u, gradient = rays.image[:, :d, :d] + kept.diagonal, rays.image[:, :d, m - 2] + kept.gradient
+    coupling, border, border_gradient = kept.coupling, kept.border, kept.border_gradient
+    eliminated = jnp.zeros_like(border_gradient)
+    if inner:
+        columns = q * o.image_camera[:, None] + jnp.arange(q)
+        own = rays.image[:, d : d + q]
+        rows = jnp.arange(u.shape[0])[:, None, None], jnp.arange(d)[:, None], columns[:, None, :]
+        coupling = coupling.at[rows].add(rays.image[:, :d, d : d + q]).at[:, :, :inner].add(-rays.coupling)
+        border = border.at[columns[:, :, None], columns[:, None, :]].add(own[:, :, d : d + q])
+        border_gradient = border_gradient.at[columns].add(own[:, :, m - 2])
+        eliminated = eliminated.at[columns].add(own[:, :, m - 1])
+    border_diagonal = jnp.diagonal(border)
+    if inner:
+        border = border.at[:inner, :inner].add(-rays.border)
+    pool = -rays.pool if kept.pool is None else kept.pool - rays.pool
+    free = o.exterior_free.T if d == 6 else jnp.concatenate([o.exterior_free, o.interior_free]).T
+    inner_free = o.interior_free.T.ravel() if inner else jnp.zeros(0, bool)
+    kept_free = o.point_free[:, o.point_free.shape[1] - kept_points :].T.ravel()
+    system = ReducedSystem(
+        pool.at[p.diagonal_pair].add(u),
+        jnp.diagonal(u, axis1=1, axis2=2),
+        rays.image[:, :d, m - 1] - gradient,
+        free,
+        coupling,
+        border,
+        border_diagonal,
+        eliminated - border_gradient,
+        jnp.concatenate([inner_free, kept_free]),
+    )
+    return Reduced(system, gradient, border_gradient)
+
+
+def correction_of(
+    images: Float[Array, "image d"], border: Float[Array, " border"], p: Problem, unknowns: Arranged
+) -> Correction:
+    """A step of the kept unknowns as a correction of them."""
+    o, (d, q, cameras, _, _) = p.observations, p.shape
+    by_camera = images[:, 6:] if d > 6 else border[: q * cameras].reshape(cameras, q)
+    interior = jnp.zeros_like(unknowns.images.interior)
+    if o.columns:
+        interior = interior.at[jnp.array(o.columns)].set(by_camera.T)
+    return Correction(images[:, :6].T, interior, border[q * cameras :].reshape(-1, 3).T)
+
+
+def direction_of(correction: Correction, turns: Float[Array, "9 3 image"]) -> Unknowns:
+    """The correction as a direction in the space of the unknowns."""
+    turned = sum(turns[:, k] * correction.exterior[3 + k] for k in range(3))
+    return Unknowns(turned, correction.exterior[:3], correction.interior, correction.points)
+
+
+class _RayPart(NamedTuple):
+    """What the tiles say of a step."""
+
+    images: Unknowns
+    tiles: Float[Array, "3 tile column"]
+    cost: Float[Array, ""]
+    reduction: Float[Array, ""]
+    gradient_step: Float[Array, ""]
+    damped_step: Float[Array, ""]
+    finite: Bool[Array, ""]
+
+
+def _on_device(
+    unknowns: Arranged, linear: Linearised, damping: Array, p: Problem, free: Array, axis: str | None
+) -> _RayPart:
+    """The whole step as one device sees it; `axis` names the devices, None for a single one."""
+    o = p.observations
+
+    def total(x):
+        return lax.psum(x, axis) if axis else x
+
+    tiles = local_tiles(p.tiles)
+    rays, factors = eliminate(o, linear.table, unknowns.tiles, linear.prior, free, damping, tiles, p.shape)
+    system, gradient, border_gradient = reduced_system(total(rays), linear.kept, p)
+    images, border = step(p.reduced, factorise(p.reduced, system, damping))
+    correction = correction_of(images, border, p, unknowns)
+    direction = direction_of(correction, linear.turns)
+    moved = corrected(unknowns.images, correction, o.in_angles, o.system)
+    before, along, after = (image_values(u, o) for u in (unknowns.images, direction, moved))
+    part = substitute(o, before, along, after, unknowns.tiles, factors, damping, tiles)
+    cost, reduction, gradient_step, damped_step = total(part[1:])
+    squares = jnp.sum(system.diagonal * images**2) + jnp.sum(system.border_diagonal * border**2)
+    return _RayPart(
+        moved,
+        part.points,
+        cost,
+        reduction,
+        gradient_step + jnp.sum(gradient * images) + jnp.sum(border_gradient * border),
+        damped_step + damping * squares,
+        jnp.isfinite(jnp.sum(images)) & jnp.isfinite(jnp.sum(border)) & jnp.isfinite(reduction),
+    )
+
+
+def local_tiles(tiles: Tiles) -> Tiles:
+    """A device's own tiles: the leading axis, of length 1 there, taken off."""
+    return eqx.tree_at(
+        lambda t: t.pair,
+        jax.tree.map(lambda x: x[0], eqx.tree_at(lambda t: t.pair, tiles, tiles.pair[None])),
+        tiles.pair,
+    )
+
+
+def tile_specs(tiles: Tiles) -> Tiles:
+    """Partition of the tiles over the devices."""
+    parted = PartitionSpec(AXIS)
+    return eqx.tree_at(lambda t: t.pair, jax.tree.map(lambda _: parted, tiles), PartitionSpec())
+
+
+def trial_step(unknowns: Arranged, p: Problem, damping: Float[Array, ""]) -> Trial:
+    """Linearises, eliminates, solves, substitutes back and evaluates."""
+    linear = linearise(unknowns, p)
+    free = p.free_tiles
+    if p.devices == 1:
+        part = _on_device(unknowns, linear, damping, p, free, None)
+    else:
+        part = _on_devices(unknowns, linear, damping, p, free)
+    after = Arranged(part.images, part.tiles)
+    pairs = [*_kept_residuals(unknowns, after, p), *_group_residuals(unknowns, after, p)]
+    cost = part.cost + 0.5 * sum(jnp.sum(v * v) for v, _ in pairs)
+    # v^2 - w^2 as a product: the difference of two nearly equal sums would be noise near the minimum
+    reduction = part.reduction + 0.5 * sum(jnp.sum((v - w) * (v + w)) for v, w in pairs)
+    return Trial(
+        after,
+        cost,
+        reduction,
+        0.5 * (part.damped_step - part.gradient_step),
+        -part.gradient_step - part.damped_step,
+        _noise(p),
+        part.finite & jnp.isfinite(reduction),
+    )
+
+
+def _on_devices(unknowns: Arranged, linear: Linearised, damping: Array, p: Problem, free: Array) -> _RayPart:
+    everywhere, of_tiles = PartitionSpec(), PartitionSpec(None, AXIS)
+    whole = lambda tree: jax.tree.map(lambda _: everywhere, tree)  # noqa: E731
+    in_specs = (
+        Arranged(whole(unknowns.images), of_tiles),
+        whole(linear)._replace(prior=None if linear.prior is None else of_tiles),
+        everywhere,
+        eqx.tree_at(lambda x: x.tiles, whole(p), tile_specs(p.tiles)),
+        of_tiles,
+    )
+    out_specs = whole(_RayPart(unknowns.images, *[damping] * 6))._replace(tiles=of_tiles)
+    return jax.shard_map(
+        lambda *args: _on_device(*args, AXIS),
+        mesh=jax.make_mesh((p.devices,), (AXIS,)),
+        in_specs=in_specs,
+        out_specs=out_specs,
+        check_vma=False,
+    )(unknowns, linear, damping, p, free)
+
+
+def _kept_residuals(before: Arranged, after: Arranged, p: Problem) -> list[tuple[Array, Array]]:
+    """Weighted residuals of the rays of kept points before and after a step."""
+    if p.kept_rays.image.shape[0] == 0:
+        return []
+    old, new = (_kept_ray_residuals(u.images, p) for u in (before, after))
+    return list(zip(old, new, strict=True))
+
+
+def _kept_ray_residuals(u: Unknowns, p: Problem) -> list[Array]:
+    rays, o = p.kept_rays, p.observations
+    interior = tuple(u.interior[:, o.image_camera[rays.image]])
+    rotation, centre = tuple(u.rotation[:, rays.image]), tuple(u.centre[:, rays.image])
+    v = image_equation(o.model, rotation, centre, interior, tuple(u.points[:, rays.point]), tuple(rays.measured))
+    return [jnp.where(w > 0, r * w, 0.0) for r, w in zip(v, rays.weights, strict=True)]
+
+
+def _group_residuals(before: Arranged, after: Arranged, p: Problem) -> list[tuple[Array, Array]]:
+    """Weighted residuals of all other observations before and after a step."""
+    if not p.observations.groups:
+        return []
+    old, new = before.flat(), after.flat()
+    return [(group_residuals(old, g) * g.weights, group_residuals(new, g) * g.weights) for g in p.observations.groups]
+
+
+def _noise(p: Problem) -> Float[Array, ""]:
+    """v^T P v / 2 of residuals that are nothing but rounding: a few operations on image coordinates."""
+    eps = 4 * jnp.finfo(p.tiles.measured.dtype).eps
+    cells = jnp.sum((p.tiles.measured * p.tiles.weights) ** 2)
+    return 0.5 * eps**2 * (cells + jnp.sum((p.kept_rays.measured * p.kept_rays.weights) ** 2))

@@ -1,0 +1,171 @@
+"""Symbolic factorisation of the reduced matrix: which tiles fill, and which products make them.
+
+`q` images in elimination order are a panel, two panels (I, J) a tile of b x b numbers, b = q d. Eliminating panel J with
+the panels R_J below it in its column changes every tile (A, B), A >= B, both in R_J:
+
+    L_AB <- L_AB - L_AJ L_BJ^T,    so (A, B) becomes a tile of the pattern if it was none.
+
+The tiles and products of every column are listed here once a block, the device only runs down the lists. With two
+devices each has the columns of one end of the band and the separator, and its own numbers of panels and tiles:
+
+    panels   end's columns, padding | separator's columns, padding
+    tiles    end: diagonal tiles, tiles below, padding | separator: the same
+
+All lists are padded to lengths on a geometric grid, so that a block of similar size runs in the same program.
+"""
+
+from typing import NamedTuple
+
+import equinox as eqx
+import jax.numpy as jnp
+import numpy as np
+from jaxtyping import Array, Bool, Int
+
+from jaxbundle.normals.ordering import Order
+from jaxbundle.normals.tiles import grid_size
+
+
+class Columns(eqx.Module):
+    """Panels eliminated one after the other. `below`: (tile, panel of its row); `update`: tiles (A, J), (B, J), (A, B).
+
+    The updates of a column begin with those of diagonal tiles, A = B, one for each tile below. `block`: the pool's block
+    at every place of every tile, the last one (0) where there is none.
+    """
+
+    count: Int[Array, " part"]
+    first_below: Int[Array, "part column+1"]
+    below: Int[Array, "part below 2"]
+    first_update: Int[Array, "part column+1"]
+    update: Int[Array, "part update 3"]
+    block: Int[Array, "part tile q q"]
+
+
+class PanelStructure(eqx.Module):
+    """The lists of every device. `position`: panel q + place of an image; `pair_place`: tile, row and column in it of a
+    pool block; both beyond the end where another device answers for them, or where there is none."""
+
+    ends: Columns | None
+    separator: Columns
+    position: Int[Array, "part image"]
+    pair_place: Int[Array, "part pair+1 3"]
+
+
+class _Lists(NamedTuple):
+    """Lists of one part, not yet padded."""
+
+    columns: int
+    first_below: list[int]
+    below: np.ndarray
+    first_update: list[int]
+    update: np.ndarray
+
+
+def small_grid(count: int) -> int:
+    """Padded number of panels or tiles, which are large."""
+    return grid_size(count, 4)
+
+
+def fill(panels: Int[np.ndarray, "pair 2"], count: int) -> Bool[np.ndarray, "panel panel"]:
+    """Tiles of the factor, lower half, from the pairs of panels (I >= J) of the matrix."""
+    tiles = np.zeros((count, count), bool)
+    tiles[panels[:, 0], panels[:, 1]] = True
+    np.fill_diagonal(tiles, True)
+    for j in range(count):
+        r = np.nonzero(tiles[j + 1 :, j])[0] + j + 1
+        tiles[np.ix_(r, r)] |= r[:, None] >= r
+    return tiles
+
+
+def _panels(order: Order, q: int) -> tuple[np.ndarray, np.ndarray, list[np.ndarray]]:
+    """Panel of every rank and its place there, and the panels of the parts; no panel straddles two parts."""
+    panel, place, parts, first = [], [], [], 0
+    for size in order.sizes:
+        k = np.arange(size)
+        panel.append(first + k // q)
+        place.append(k % q)
+        parts.append(first + np.arange(-(-size // q)))
+        first += -(-size // q)
+    return np.concatenate(panel), np.concatenate(place), parts
+
+
+def _number(tiles: np.ndarray, columns: np.ndarray, first: int, number: np.ndarray) -> int:
+    """Numbers the tiles of `columns` from `first` on, the diagonal ones first; how many there are."""
+    number[columns, columns] = first + np.arange(len(columns))
+    row, column = np.nonzero(np.tril(tiles[:, columns], -columns[0] - 1 if len(columns) else 0))
+    by_column = np.lexsort((row, column))
+    number[row[by_column], columns[column[by_column]]] = first + len(columns) + np.arange(len(row))
+    return len(columns) + len(row)
+
+
+def _lists(tiles: np.ndarray, columns: np.ndarray, number: np.ndarray, panel_number: np.ndarray) -> _Lists:
+    """What the elimination of `columns` does, in this device's numbers."""
+    below, update, first_below, first_update = [np.zeros((0, 2), int)], [np.zeros((0, 3), int)], [0], [0]
+    for j in columns:
+        r = np.nonzero(tiles[j + 1 :, j])[0] + j + 1
+        a, b = (np.concatenate([np.arange(len(r)), k]) for k in np.tril_indices(len(r), -1))
+        below.append(np.stack([number[r, j], panel_number[r]], 1))
+        update.append(np.stack([number[r[a], j], number[r[b], j], number[r[a], r[b]]], 1))
+        first_below.append(first_below[-1] + len(r))
+        first_update.append(first_update[-1] + len(a))
+    return _Lists(len(columns), first_below, np.concatenate(below), first_update, np.concatenate(update))
+
+
+def _padded(arrays: list, length: int, value: int = 0) -> Array:
+    """Arrays of several parts stacked, each filled up with `value` along its first axis."""
+    out = [np.full((length, *np.shape(a)[1:]), value, np.int32) for a in arrays]
+    for padded, a in zip(out, arrays, strict=True):
+        padded[: len(a)] = a
+    return jnp.asarray(np.stack(out))
+
+
+def _columns(lists: list[_Lists], blocks: list[np.ndarray], waste: int, tiles: int) -> Columns:
+    """The padded lists of all parts."""
+    columns = small_grid(max(s.columns for s in lists))
+    return Columns(
+        jnp.asarray([s.columns for s in lists], jnp.int32),
+        _padded([s.first_below for s in lists], columns + 1),
+        _padded([s.below for s in lists], grid_size(max(len(s.below) for s in lists))),
+        _padded([s.first_update for s in lists], columns + 1),
+        _padded([s.update for s in lists], grid_size(max(len(s.update) for s in lists))),
+        _padded(blocks, tiles, waste),
+    )
+
+
+def symbolic(
+    pairs: Int[np.ndarray, "pair 2"], order: Order, q: int, devices: int, images: int, pool: int
+) -> PanelStructure:
+    """Lists of the factorisation. `pairs` in ranks, i >= j; `images`, `pool`: padded numbers of images and of blocks.
+
+    The last block of the pool belongs to no pair.
+    """
+    panel, place, parts = _panels(order, q)
+    of_pair = panel[pairs]
+    tiles = fill(of_pair, sum(len(p) for p in parts))
+    split = len(parts[0]) > 0
+    ends = [parts[g] if g < 2 else parts[0][:0] for g in range(devices)] if split else []
+    tiles_of = [int(tiles[:, p].sum()) for p in (*ends, parts[2])]
+    end_panels = small_grid(max(len(p) for p in ends)) if split else 0
+    end_tiles = small_grid(max(tiles_of[:-1])) if split else 0
+    tile_count = end_tiles + small_grid(tiles_of[-1])
+    panel_count = end_panels + small_grid(len(parts[2]))
+
+    lists, blocks, positions, pair_places = [], [], [], []
+    for g, own in enumerate(ends or [parts[0]]):
+        number, panel_number = np.full(tiles.shape, -1), np.full(len(tiles), panel_count)
+        used = _number(tiles, own, 0, number), _number(tiles, parts[2], end_tiles, number)
+        panel_number[own], panel_number[parts[2]] = np.arange(len(own)), end_panels + np.arange(len(parts[2]))
+        lists.append((_lists(tiles, own, number, panel_number), _lists(tiles, parts[2], number, panel_number)))
+        # the separator's share of the matrix is the first device's; the others add what their end does to it
+        answers = np.isin(of_pair[:, 1], own) | (g == 0) & np.isin(of_pair[:, 1], parts[2])
+        tile = np.where(answers, number[of_pair[:, 0], of_pair[:, 1]], tile_count)
+        pair_places.append(np.stack([tile, place[pairs[:, 0]], place[pairs[:, 1]]], 1))
+        block = np.full((tile_count + 1, q, q), pool - 1)
+        block[tuple(pair_places[-1].T)] = np.arange(len(pairs))
+        blocks.append((block[: used[0]], block[end_tiles : end_tiles + used[1]]))
+        positions.append(np.where(panel_number[panel] < panel_count, panel_number[panel] * q + place, panel_count * q))
+    return PanelStructure(
+        _columns([s for s, _ in lists], [b for b, _ in blocks], pool - 1, end_tiles) if split else None,
+        _columns([s for _, s in lists], [b for _, b in blocks], pool - 1, tile_count - end_tiles),
+        _padded(positions, images, panel_count * q),
+        _padded(pair_places, pool, tile_count),
+    )

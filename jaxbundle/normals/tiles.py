@@ -1,0 +1,237 @@
+"""Host plan of the tiles: object points sorted so that neighbours are seen by the same images.
+
+A tile is a dense grid of `width` points by the images that see any of them; a grid cell without ray has weight 0. A
+chunk is a row of tiles of one class (number of images, rounded up) with SLOTS image slots in all, so every chunk has
+the same shape and the element-wise work on it is compiled once, whatever the tracks look like:
+
+    chunk    SLOTS x width cells, SLOTS // K tiles of class K
+    cell     one ray: image slot s, column j -> ray[chunk, s, j], or -1
+
+Points are sorted along a space-filling curve through the bounding boxes of the projection centres that see them (Morton
+code of the box's four sides): points with equal boxes have nearly equal tracks.
+"""
+
+from dataclasses import dataclass
+from typing import NamedTuple
+
+import numpy as np
+from jaxtyping import Bool, Float, Int
+
+SLOTS = 48
+CLASSES = (2, 3, 4, 6, 8, 12, 16, 24, 48)  # divisors of SLOTS
+MOST_TILES = SLOTS // CLASSES[0]  # a chunk's
+CUTS = 4  # places where a tile may be cut in two, at a jump of the curve
+MORTON_BITS = 12
+CELLS_AT_ONCE = 200_000_000  # bounds the memory of the table of tiles and images
+
+
+@dataclass(frozen=True)
+class Tiling:
+    """Tiles of all points. Every device has the same number of chunks and of tiles, the last of them empty.
+
+    `place`: position of a point in (device, tile, column). `slot_image`: rank, or `images` for an empty slot.
+    `slot_tile`: tile within the device. `tile_class`: index into CLASSES. `chunks`, `tiles`: how many are used.
+    """
+
+    width: int
+    devices: int
+    place: Int[np.ndarray, " point"]
+    slot_image: Int[np.ndarray, "device chunk slot"]
+    slot_tile: Int[np.ndarray, "device chunk slot"]
+    tile_class: Int[np.ndarray, "device chunk"]
+    ray: Int[np.ndarray, "device chunk slot width"]
+    chunks: Int[np.ndarray, " device"]
+    tiles: int
+
+
+def grid_size(count: int, least: int = 16, ratio: float = 1.125) -> int:
+    """The next size on a geometric grid: few sizes, few compilations."""
+    size = least
+    while size < count:
+        size = int(size * ratio) + 1
+    return size
+
+
+def tile_width(rays: int) -> int:
+    """Points a tile: wide tiles make better matrix products, narrow ones waste fewer cells of a small block."""
+    return 32 if rays > 200_000 else 16
+
+
+def _spread(values: Int[np.ndarray, " n"]) -> Int[np.ndarray, " n"]:
+    """Bits of small integers moved four apart."""
+    table = np.zeros(256, np.uint64)
+    for bit in range(8):
+        table |= ((np.arange(256, dtype=np.uint64) >> np.uint64(bit)) & np.uint64(1)) << np.uint64(4 * bit)
+    low, high = values & 255, values >> 8
+    return table[low] | table[high] << np.uint64(32)
+
+
+def point_order(
+    image: Int[np.ndarray, " ray"], first: Int[np.ndarray, " point"], centres: Float[np.ndarray, "image 3"]
+) -> Int[np.ndarray, " point"]:
+    """Points along the curve. `image`: the images of point after point; `first`: where each point's begin."""
+    centred = centres - centres.mean(0)
+    axes = np.linalg.svd(centred.T @ centred)[2][:2]
+    plane = centred @ axes.T
+    low, high = plane.min(0), plane.max(0)
+    steps = ((plane - low) / (high - low + np.finfo(float).tiny) * (2**MORTON_BITS - 1)).astype(np.int32)
+    code = np.zeros(len(first), np.uint64)
+    for axis in range(2):
+        of_ray = steps[image, axis]
+        code |= _spread(np.minimum.reduceat(of_ray, first)) << np.uint64(axis)
+        code |= _spread(np.maximum.reduceat(of_ray, first)) << np.uint64(2 + axis)
+    return np.argsort(code, kind="stable")
+
+
+def _cut(
+    position: Int[np.ndarray, " ray"], image: Int[np.ndarray, " ray"], images: int, points: int, width: int
+) -> Int[np.ndarray, " point"]:
+    """Tile of every position along the curve; a row of `width` points is cut in two where that is cheaper."""
+    part_width = width // CUTS
+    rows = -(-points // width)
+    where = np.zeros(rows, np.int64)
+    at_once = max(1, CELLS_AT_ONCE // (CUTS * images))
+    for start in range(0, rows, at_once):
+        count = min(at_once, rows - start)
+        inside = slice(None) if count == rows else (position // width >= start) & (position // width < start + count)
+        seen = np.zeros((count * CUTS, images), bool)
+        seen[position[inside] // part_width - start * CUTS, image[inside]] = True
+        where[start : start + count] = _best_cut(seen.reshape(count, CUTS, images))
+    row = np.arange(points) // width
+    second = (where[row] > 0) & (np.arange(points) % width >= where[row] * part_width)
+    return row + np.cumsum(where > 0)[row] - (where[row] > 0) + second
+
+
+def _best_cut(seen: Bool[np.ndarray, "row part image"]) -> Int[np.ndarray, " row"]:
+    """Number of the part before which each row is cut, 0 where it stays whole; the work is about images^2."""
+    best, at = seen.any(1).sum(1).astype(float) ** 2, np.zeros(len(seen), np.int64)
+    for cut in range(1, CUTS):
+        left, right = seen[:, :cut].any(1).sum(1), seen[:, cut:].any(1).sum(1)
+        halves = left.astype(float) ** 2 + right.astype(float) ** 2 + 2.0 * (left + right)
+        better = halves < 0.9 * best
+        best[better], at[better] = halves[better], cut
+    return at
+
+
+def _columns(tile: Int[np.ndarray, " point"]) -> Int[np.ndarray, " point"]:
+    """Place of every point within its tile."""
+    return np.arange(len(tile)) - np.searchsorted(tile, tile)
+
+
+class _Entries(NamedTuple):
+    """Tile and image of every pair with a ray, the number of each ray's image in its tile, images a tile."""
+
+    tile: Int[np.ndarray, " entry"]
+    image: Int[np.ndarray, " entry"]
+    number: Int[np.ndarray, " ray"]
+    counts: Int[np.ndarray, " tile"]
+
+
+def _number_images(tile: Int[np.ndarray, " ray"], image: Int[np.ndarray, " ray"], images: int, tiles: int) -> _Entries:
+    """The images of every tile, numbered."""
+    of_ray = np.empty(len(tile), np.int32)
+    entries = []
+    counts = np.empty(tiles, np.int64)
+    at_once = max(1, CELLS_AT_ONCE // (4 * images))
+    for start in range(0, tiles, at_once):
+        count = min(at_once, tiles - start)
+        inside = slice(None) if count == tiles else np.nonzero((tile >= start) & (tile < start + count))[0]
+        seen = np.zeros((count, images), bool)
+        seen[tile[inside] - start, image[inside]] = True
+        number = np.cumsum(seen, 1, dtype=np.int32)
+        of_ray[inside] = number[tile[inside] - start, image[inside]] - 1
+        counts[start : start + count] = number[:, -1]
+        t, i = np.nonzero(seen)
+        entries.append((t + start, i))
+    return _Entries(np.concatenate([t for t, _ in entries]), np.concatenate([i for _, i in entries]), of_ray, counts)
+
+
+def _deal(
+    kinds: Int[np.ndarray, " tile"], devices: int
+) -> tuple[list[list[int]], Int[np.ndarray, "tile 4"], list[int]]:
+    """Chunks of one class each, dealt to the devices in equal parts: class of each chunk; a tile's device, chunk, place
+    in the chunk and number on the device; tiles a device."""
+    classes: list[list[int]] = [[] for _ in range(devices)]
+    of_tile = np.empty((len(kinds), 4), np.int64)
+    used = [0] * devices
+    for kind, size in enumerate(CLASSES):
+        tiles = np.nonzero(kinds == kind)[0]
+        per_chunk = SLOTS // size
+        chunks = -(-len(tiles) // per_chunk)
+        # the device with the fewest chunks so far takes the odd one
+        order = sorted(range(devices), key=lambda g: len(classes[g]))
+        first = 0
+        for turn, g in enumerate(order):
+            mine = chunks // devices + (turn < chunks % devices)
+            dealt = tiles[first * per_chunk : (first + mine) * per_chunk]
+            first += mine
+            k = np.arange(len(dealt))
+            of_tile[dealt] = np.stack(
+                [np.full_like(k, g), len(classes[g]) + k // per_chunk, k % per_chunk, used[g] + k], 1
+            )
+            used[g] += len(dealt)
+            classes[g] += [kind] * mine
+    return classes, of_tile, used
+
+
+def tiling(
+    image: Int[np.ndarray, " ray"],
+    point: Int[np.ndarray, " ray"],
+    points: int,
+    images: int,
+    centres: Float[np.ndarray, "image 3"],
+    devices: int,
+) -> Tiling:
+    """Tiles for rays sorted by point; every point has 1 to SLOTS rays. `image` and `centres` in elimination order."""
+    width = tile_width(len(image))
+    first = np.searchsorted(point, np.arange(points))
+    order = point_order(image, first, centres)
+    position = np.empty(points, np.int64)
+    position[order] = np.arange(points)
+    of_ray = position[point]
+    tile_of = _cut(of_ray, image, images, points, width)
+    for narrow in (width // CUTS, 1):  # tiles that see too many images are split up
+        entries = _number_images(tile_of[of_ray], image, images, int(tile_of[-1]) + 1)
+        wide = entries.counts > SLOTS
+        if not wide.any():
+            break
+        split = tile_of * width + np.where(wide[tile_of], _columns(tile_of) // narrow, 0)
+        tile_of = np.unique(split, return_inverse=True)[1]
+    else:
+        entries = _number_images(tile_of[of_ray], image, images, int(tile_of[-1]) + 1)
+    tile, column, tiles, counts = tile_of[of_ray], _columns(tile_of), len(entries.counts), entries.counts
+    kinds = np.searchsorted(CLASSES, counts)
+    classes, of_tile, used = _deal(kinds, devices)
+    device, chunk, place, local = of_tile.T
+    chunks = np.array([len(c) for c in classes], np.int32)
+    shape = devices, grid_size(int(chunks.max())), SLOTS
+    size = np.array(CLASSES)[kinds]
+
+    slot_image = np.full(shape, images, np.int32)
+    number = np.arange(len(entries.tile)) - np.repeat(np.cumsum(counts) - counts, counts)
+    slot_image[device[entries.tile], chunk[entries.tile], (place * size)[entries.tile] + number] = entries.image
+    slot_tile = np.zeros(shape, np.int32)
+    every = np.repeat(np.arange(tiles), size)
+    within = np.arange(len(every)) - np.repeat(np.cumsum(size) - size, size)
+    slot_tile[device[every], chunk[every], (place * size)[every] + within] = local[every]
+    slot_tile = np.maximum.accumulate(slot_tile, 2)  # slots behind the last tile of a chunk belong to it
+
+    ray = np.full((*shape, width), -1, np.int32)
+    cell = ((device[tile] * shape[1] + chunk[tile]) * SLOTS + (place * size)[tile] + entries.number) * width
+    ray.ravel()[cell + column[of_ray]] = np.arange(len(image))
+    tile_class = np.zeros(shape[:2], np.int32)
+    for g in range(devices):
+        tile_class[g, : chunks[g]] = classes[g]
+    tiles_padded = grid_size(max(used) + MOST_TILES)  # a chunk is handled as if it had most tiles
+    of_point = tile_of[position]
+    return Tiling(
+        width,
+        devices,
+        (device[of_point] * tiles_padded + local[of_point]) * width + column[position],
+        slot_image,
+        slot_tile,
+        tile_class,
+        ray,
+        chunks,
+        tiles_padded,
+    )

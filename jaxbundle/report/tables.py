@@ -1,0 +1,102 @@
+"""The report as a table of tables: numbers, names, lists and None, ready for JSON.
+
+A value stands as [value, standard deviation]: a posteriori, object unit and angle unit of the block; 0 = held,
+None = not known.
+"""
+
+from collections.abc import Iterable, Sequence
+from typing import Any
+
+import numpy as np
+
+from jaxbundle.report.figures import Figures, figures_of
+from jaxbundle.report.findings import findings_of, global_test
+from jaxbundle.solve.adjustment import Adjustment
+
+
+def report_dict(adjustment: Adjustment) -> dict[str, Any]:
+    """The report of a concrete adjustment: counts, sigma0, all unknowns with their standard deviations."""
+    return dict_of(figures_of(adjustment))
+
+
+def dict_of(figures: Figures) -> dict[str, Any]:
+    """`report_dict` from numbers that are converted already."""
+    adjustment, structure = figures.adjustment, figures.structure
+    test = global_test(figures.sigma0, adjustment.redundancy)
+    unknown, check = figures.unknown_points, structure.check_point
+    return {
+        "kind": "block",
+        "name": structure.name,
+        "units": {"object": structure.object_unit, "angle": structure.angle_unit},
+        "status": adjustment.status.name.lower().replace("_", " "),
+        "trustworthy": adjustment.trustworthy,
+        "findings": [[finding.label, finding.words] for finding in findings_of(figures)],
+        "observations": adjustment.observations,
+        "unknowns": adjustment.unknowns,
+        "redundancy": adjustment.redundancy,
+        "sigma0": _number(figures.sigma0),
+        "sigma0_limits": [test.lower, test.upper],
+        "vtPv": _number(figures.vtpv),
+        "vtPv_at_start": _number(2 * float(adjustment.iterations.initial_cost)),
+        "method": adjustment.method,
+        "iterations": int(adjustment.iterations.trials),
+        "stopping_rule": adjustment.stopping_rule,
+        "measure": _number(float(adjustment.iterations.measure)),
+        "datum": str(structure.datum),
+        "images": _entries(structure.image_names, structure.exterior_elements, figures.exterior, figures.exterior_sd),
+        "points": _entries(
+            [structure.point_names[p] for p in unknown], "XYZ", figures.points[unknown], figures.points_sd[unknown]
+        ),
+        "cameras": _cameras(figures),
+        "check_points": _check_points(figures, [structure.point_names[p] for p in check]),
+        "correlations": _correlations(figures),
+    }
+
+
+def _number(value: float) -> float | None:
+    return value if np.isfinite(value) else None
+
+
+def _plain(values: np.ndarray) -> list:
+    """Nested lists with None for what is no finite number."""
+    known = np.isfinite(values)
+    if known.all():
+        return values.tolist()
+    plain = values.astype(object)
+    plain[~known] = None
+    return plain.tolist()
+
+
+def _entries(
+    names: Iterable[str], elements: Sequence[str], values: np.ndarray, deviations: np.ndarray
+) -> dict[str, dict[str, list]]:
+    """name: {element: [value, sd]}."""
+    pairs = _plain(np.stack([values, deviations], -1))
+    return {name: dict(zip(elements, row, strict=True)) for name, row in zip(names, pairs, strict=True)}
+
+
+def _cameras(figures: Figures) -> dict[str, dict[str, list]]:
+    free = figures.structure.interior_free
+    cameras = {}
+    for c in np.flatnonzero(free.any(1)):
+        camera, columns = figures.structure.cameras[c], np.flatnonzero(free[c])
+        pairs = _plain(np.stack([figures.interior[c, columns], figures.interior_sd[c, columns]], -1))
+        cameras[camera.name] = {camera.model.elements[k]: pair for k, pair in zip(columns, pairs, strict=True)}
+    return cameras
+
+
+def _check_points(figures: Figures, names: list[str]) -> dict[str, dict[str, Any]]:
+    check = figures.structure.check_point
+    entries = _entries(names, "XYZ", figures.points[check], figures.points_sd[check])
+    differences = _plain(figures.check_differences)
+    return {
+        name: {**entry, **dict(zip(("dX", "dY", "dZ"), row, strict=True))}
+        for (name, entry), row in zip(entries.items(), differences, strict=True)
+    }
+
+
+def _correlations(figures: Figures) -> dict[str, dict[str, float | None]]:
+    cameras: dict[str, dict[str, float | None]] = {}
+    for c, a, b, r in figures.correlations():
+        cameras.setdefault(figures.structure.cameras[c].name, {})[f"{a},{b}"] = _number(r)
+    return cameras

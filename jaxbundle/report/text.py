@@ -1,0 +1,256 @@
+"""The report as plain text: problems and suggestions first, then the figures."""
+
+import textwrap
+
+import numpy as np
+
+from jaxbundle.block.observations import CONTROL, ObservationGroup
+from jaxbundle.report.columns import WIDTH, aligned, decimals, deviation, fixed, short, table, wrapped
+from jaxbundle.report.figures import HIGH_CORRELATION, Figures, figures_of, member_names
+from jaxbundle.report.findings import Finding, findings_of, global_test
+from jaxbundle.solve.adjustment import Adjustment
+
+IMAGES, CAMERAS, POINTS, WORST = 200, 50, 50, 20  # shown of each; the tables hold all
+
+
+def report_text(adjustment: Adjustment) -> str:
+    """The report of a concrete adjustment, ASCII, at most 110 columns."""
+    return text_of(figures_of(adjustment))
+
+
+def text_of(figures: Figures) -> str:
+    """`report_text` from numbers that are converted already."""
+    structure = figures.structure
+    sections: list[tuple[str, list[str]]] = [
+        ("Problems and suggestions", finding_lines(findings_of(figures))),
+        ("Adjustment", _adjustment(figures)),
+        ("Observations", _observations(figures)),
+        ("Images: adjusted value and standard deviation below", _images(figures)),
+        ("Cameras: estimated elements", _cameras(figures)),
+        ("Object points", _points(figures)),
+        *_control(figures),
+        *((_title(group), _group(figures, k)) for k, group in _other_groups(figures)),
+        ("Check points: adjusted less known", _check_points(figures)),
+        ("Largest residuals of rays", _worst_rays(figures)),
+        (f"Correlations over {HIGH_CORRELATION}", _correlations(figures)),
+    ]
+    title = f"Adjustment of block {structure.name or '(unnamed)'}"
+    lines = [*textwrap.wrap(title, WIDTH), *textwrap.wrap(structure.source, WIDTH)]
+    for name, body in sections:
+        if body:
+            lines += ["", name, "-" * len(name), *body]
+    return "\n".join(line.rstrip() for line in lines).encode("ascii", "replace").decode() + "\n"
+
+
+def finding_lines(found: list[Finding]) -> list[str]:
+    """Findings as lines of text."""
+    if not found:
+        return ["  none"]
+    return [line for finding in found for line in wrapped(finding.label, finding.words, 14)]
+
+
+def _adjustment(figures: Figures) -> list[str]:
+    adjustment, structure = figures.adjustment, figures.structure
+    n = adjustment.iterations
+    test = global_test(figures.sigma0, adjustment.redundancy)
+    exterior, interior, points = (
+        int(free.sum()) for free in (structure.exterior_free, structure.interior_free, structure.point_free)
+    )
+    verdict = "passed" if test.passed else "not passed"
+    figure = [
+        ("Block", _counts(figures)),
+        ("Observations M", f"{adjustment.observations}"),
+        ("Unknowns N", f"{adjustment.unknowns} (images {exterior}, cameras {interior}, points {points})"),
+        ("Redundancy M - N", f"{adjustment.redundancy}"),
+        ("Datum", str(structure.datum)),
+        ("vTPv", f"{2 * float(n.initial_cost):.8g} at the start, {figures.vtpv:.8g} at the end"),
+        ("sigma0", f"{figures.sigma0:.6g} a posteriori, 1 a priori"),
+        (
+            "Global test",
+            f"{verdict}: {test.lower:.4f} < sigma0 < {test.upper:.4f} expected (chi-square, two-sided, 5 %)",
+        ),
+        ("Iterations", f"{int(n.trials)}, of which {int(n.accepted)} accepted; {adjustment.method}"),
+        ("End", f"{adjustment.status.words}; stopping rule '{adjustment.stopping_rule}' at {float(n.measure):.1e}"),
+    ]
+    return [line for label, text in figure for line in wrapped(label, text, 22)]
+
+
+def _counts(figures: Figures) -> str:
+    structure = figures.structure
+    counts = {
+        "images": len(structure.image_names),
+        "cameras": len(structure.cameras),
+        "object points": len(structure.point_names),
+        "control points": int(figures.control_point.sum()),
+        "check points": len(structure.check_point),
+        "rays": len(structure.ray_image),
+    }
+    return ", ".join(f"{what} {count}" for what, count in counts.items())
+
+
+def _observations(figures: Figures) -> list[str]:
+    """The groups of observations: number, root mean square of v / sigma, largest one."""
+    of_control = figures.control_point[figures.structure.ray_point]
+    rays, observed = figures.normalised[0], [group.structure.observed for group in figures.groups]
+    parts = [
+        ("image coordinates of control points", rays[of_control].ravel()),
+        ("image coordinates of tie points", rays[~of_control].ravel()),
+        *(
+            (group.structure.kind.name, v[seen])
+            for group, v, seen in zip(figures.groups, figures.normalised[1:], observed, strict=True)
+        ),
+    ]
+    rows = [
+        (name, str(v.size), f"{np.sqrt(np.mean(v**2)):.4g}", f"{np.abs(v).max():.4g}") for name, v in parts if v.size
+    ]
+    return aligned([("group", "number", "rms v/sigma", "largest"), *rows])
+
+
+def _images(figures: Figures) -> list[str]:
+    structure = figures.structure
+    units = [structure.object_unit] * 3 + [structure.angle_unit] * 3
+    places = [decimals(column) for column in figures.exterior_sd.T]
+    rows = []
+    for i, name in enumerate(structure.image_names[:IMAGES]):
+        values = [fixed(v, p) for v, p in zip(figures.exterior[i], places, strict=True)]
+        deviations = [deviation(s, p) for s, p in zip(figures.exterior_sd[i], places, strict=True)]
+        rows += [(short(name), str(figures.rays_of_image[i]), *values), ("", "", *deviations)]
+    header = ["image", "rays", *(f"{e} [{u}]" for e, u in zip(structure.exterior_elements, units, strict=True))]
+    count = len(structure.image_names)
+    lines = aligned([header, *rows])
+    return lines if count <= IMAGES else [*lines, f"  ... the first {IMAGES} of {count} images; the tables hold all"]
+
+
+def _cameras(figures: Figures) -> list[str]:
+    structure = figures.structure
+    estimated = np.flatnonzero(structure.interior_free.any(1))
+    rows = []
+    for c in estimated[:CAMERAS]:
+        camera = structure.cameras[c]
+        for k in np.flatnonzero(structure.interior_free[c]):
+            value, sd = figures.interior[c, k], figures.interior_sd[c, k]
+            ratio = f"{abs(value) / sd:.1f}" if sd > 0 else "-"
+            deviation = f"{sd:.3g}" if np.isfinite(sd) else "-"
+            rows.append((short(camera.name), camera.model.elements[k], f"{value:.8g}", deviation, ratio))
+    if not rows:
+        return ["  none: all interior elements are held"]
+    lines = aligned([("camera", "element", "value", "sd", "|value|/sd"), *rows], left=2)
+    more = len(estimated) - CAMERAS
+    return (
+        lines if more <= 0 else [*lines, f"  ... the first {CAMERAS} of {len(estimated)} cameras; the tables hold all"]
+    )
+
+
+def _points(figures: Figures) -> list[str]:
+    structure, unknown = figures.structure, figures.unknown_points
+    places = [decimals(column[unknown]) for column in figures.points_sd.T]
+    rows = []
+    for p in unknown[:POINTS]:
+        values = [fixed(v, d) for v, d in zip(figures.points[p], places, strict=True)]
+        deviations = [deviation(s, d) for s, d in zip(figures.points_sd[p], places, strict=True)]
+        rows.append((short(structure.point_names[p]), str(figures.rays_of_point[p]), *values, *deviations))
+    if not rows:
+        return ["  all coordinates of all points are fixed"]
+    unit = structure.object_unit
+    header = ("point", "rays", *(f"{c} [{unit}]" for c in "XYZ"), "sd X", "sd Y", "sd Z")
+    return [*_summary_of_points(figures), *table(header, rows, len(unknown), "points")]
+
+
+def _summary_of_points(figures: Figures) -> list[str]:
+    """Mean and largest standard deviations: what a reader of many points looks for."""
+    sd, free = figures.points_sd, figures.structure.point_free
+    if not np.isfinite(sd).all():
+        return []
+    rms = [np.sqrt(np.mean(column[f] ** 2)) if f.any() else 0.0 for column, f in zip(sd.T, free.T, strict=True)]
+    rows = [("sd, root mean square", *(f"{s:.3g}" for s in rms)), ("sd, largest", *(f"{s:.3g}" for s in sd.max(0)))]
+    return [*aligned([("", "X", "Y", "Z"), *rows]), ""]
+
+
+def _control(figures: Figures) -> list[tuple[str, list[str]]]:
+    """Control coordinates that are fixed, and residuals of those that are observed."""
+    structure = figures.structure
+    points = np.flatnonzero(~structure.point_free.all(1))
+    held = [_held(structure.point_names[p], structure.point_free[p]) for p in points[:POINTS]]
+    more = f" and {len(points) - POINTS} more" if len(points) > POINTS else ""
+    lines = wrapped("Fixed:", ", ".join(held) + more, 10) if held else []
+    for k, group in enumerate(figures.groups):
+        if group.structure.kind is CONTROL:
+            lines += _group(figures, k)
+    return [("Control points: adjusted less observed", lines)]
+
+
+def _held(name: str, free: np.ndarray) -> str:
+    """A point with coordinates that are fixed, which are named unless all are."""
+    return f"{name} ({', '.join(np.array(list('XYZ'))[~free])})" if free.any() else name
+
+
+def _other_groups(figures: Figures) -> list[tuple[int, ObservationGroup]]:
+    return [(k, group) for k, group in enumerate(figures.groups) if group.structure.kind is not CONTROL]
+
+
+def _title(group: ObservationGroup) -> str:
+    return f"{group.structure.kind.name.capitalize()}: computed less observed"
+
+
+def _group(figures: Figures, k: int) -> list[str]:
+    """Residuals of a group, their standard deviations a priori and v / (sigma0 sigma)."""
+    group = figures.groups[k]
+    observed, components = group.structure.observed, group.structure.kind.components
+    residuals, sigmas = figures.residuals[k + 1], np.asarray(group.sigmas)
+    places = decimals(sigmas[observed]) + 1
+    names = member_names(figures.structure, group)
+    scale = figures.sigma0 if figures.sigma0 > 0 else np.inf
+    rows = []
+    for m in range(min(len(observed), POINTS)):
+        cells = [(fixed(residuals[m, c], places), f"{sigmas[m, c]:.3g}") for c in range(len(components))]
+        cells = [cell if seen else ("-", "-") for cell, seen in zip(cells, observed[m], strict=True)]
+        size = np.abs(figures.normalised[k + 1][m]).max() / scale
+        who = [short(column[m]) for column in names.values()]
+        rows.append((*who, *(v for v, _ in cells), *(s for _, s in cells), f"{size:.2f}"))
+    header = (*names, *(f"v {c}" for c in components), *(f"sigma {c}" for c in components), "v/(sigma0 sigma)")
+    return table(header, rows, len(observed), group.structure.kind.name, left=len(names))
+
+
+def _check_points(figures: Figures) -> list[str]:
+    structure, differences = figures.structure, figures.check_differences
+    if not len(structure.check_point):
+        return []
+    sd = figures.points_sd[structure.check_point]
+    places = [decimals(column) for column in sd.T]
+    rows = [
+        (
+            short(structure.point_names[p]),
+            *(fixed(v, d) for v, d in zip(figures.points[p], places, strict=True)),
+            *(fixed(v, d) for v, d in zip(differences[c], places, strict=True)),
+            *(deviation(v, d) for v, d in zip(sd[c], places, strict=True)),
+        )
+        for c, p in enumerate(structure.check_point[:POINTS])
+    ]
+    unit = structure.object_unit
+    header = ("point", *(f"{c} [{unit}]" for c in "XYZ"), "dX", "dY", "dZ", "sd X", "sd Y", "sd Z")
+    known = np.isfinite(differences)
+    squares = np.where(known, differences, 0.0) ** 2
+    rms = np.sqrt(squares.sum(0) / np.maximum(known.sum(0), 1))
+    return [
+        *table(header, rows, len(structure.check_point), "check points"),
+        f"  root mean square  dX {rms[0]:.3g}  dY {rms[1]:.3g}  dZ {rms[2]:.3g}",
+    ]
+
+
+def _worst_rays(figures: Figures) -> list[str]:
+    structure, size, v = figures.structure, figures.ray_size, figures.residuals[0]
+    count = min(WORST, len(size))
+    worst = np.argpartition(-size, count - 1)[:count] if count else np.zeros(0, int)
+    rows = []
+    for ray in worst[np.argsort(-size[worst], kind="stable")]:
+        image = structure.ray_image[ray]
+        unit = structure.cameras[structure.image_camera[image]].image_unit
+        names = short(structure.image_names[image]), short(structure.point_names[structure.ray_point[ray]])
+        rows.append((*names, f"{v[ray, 0]:.4g}", f"{v[ray, 1]:.4g}", unit, f"{size[ray]:.2f}"))
+    return aligned([("image", "point", "vx", "vy", "", "|v|/(sigma0 sigma)"), *rows], left=2)
+
+
+def _correlations(figures: Figures) -> list[str]:
+    high = [pair for pair in figures.correlations() if abs(pair[3]) > HIGH_CORRELATION]
+    rows = [(short(figures.structure.cameras[c].name), a, b, f"{r:.4f}") for c, a, b, r in high[:CAMERAS]]
+    return table(("camera", "", "", "correlation"), rows, len(high), "pairs", left=3) if rows else []

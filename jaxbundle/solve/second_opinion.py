@@ -1,0 +1,158 @@
+"""The second opinion: jaxopt's dense Gauss-Newton and Levenberg-Marquardt on small blocks.
+
+Nothing is eliminated here. All free corrections stand in one vector x, scaled by the columns of the design matrix A at
+the unknowns they start from, so that the columns have length 1 there:
+
+    v(x) = v(unknowns + x / |columns of A|)           weighted residuals
+
+As corrections hold small angles, they are applied after a few steps and the next round starts from 0. jaxopt does not
+judge whether a round has converged: a dense Gauss-Newton step from the unknowns it reached must meet the stopping rule.
+"""
+
+from typing import Any, NamedTuple
+
+import equinox as eqx
+import jax
+import jax.numpy as jnp
+import jaxopt
+import numpy as np
+from jax import lax
+from jax.core import Tracer
+from jax.flatten_util import ravel_pytree
+from jax.scipy.linalg import solve_triangular
+from jaxtyping import Array, Bool, Float, Int
+
+from jaxbundle.block.residuals import Observations, weighted_residuals
+from jaxbundle.block.unknowns import Correction, Unknowns, corrected
+from jaxbundle.solve.adjustment import Iterations, Status
+from jaxbundle.solve.levenberg_marquardt import Arguments
+from jaxbundle.solve.stopping import StepTaken
+
+MOST_UNKNOWNS = 3000  # a dense Jacobian of some 150 MB
+STEPS_A_ROUND = 10
+AT_REST = 1e-12  # of |v|: a round ends where its gradient or its step, in units of v, is that small
+
+
+class FullStep(NamedTuple):
+    """A dense Gauss-Newton step and the lengths of the columns it is scaled by.
+
+    `measure` is the stopping rule's number of the step; `met`: within the rule's limit, or beyond what jaxopt can see.
+    """
+
+    x: Float[Array, " free"]
+    scale: Float[Array, " free"]
+    measure: Float[Array, ""]
+    met: Bool[Array, ""]
+
+
+def solve(unknowns: Unknowns, args: Arguments, method: str, max_iterations: int) -> tuple[Unknowns, Iterations]:
+    """Minimises the weighted residuals by jaxopt; `method` as in `adjust`.
+
+    Raises: ValueError for a large block, and under tracing.
+    """
+    if any(isinstance(leaf, Tracer) for leaf in jax.tree.leaves((unknowns, args))):
+        raise ValueError('engine "jaxopt" works outside of jit, grad and vmap; there take engine "block"')
+    o = args.observations
+    free = np.flatnonzero(np.concatenate([np.ravel(mask) for mask in (o.exterior_free, o.interior_free, o.point_free)]))
+    if len(free) > MOST_UNKNOWNS:
+        raise ValueError(
+            f'engine "jaxopt" keeps a dense Jacobian and takes {MOST_UNKNOWNS} unknowns at most, the block has'
+            f' {len(free)}; take engine "block"'
+        )
+    initial, status, trials, accepted = _cost(unknowns, o), Status.MAXIMUM_ITERATIONS, 0, 0
+    full = _full_step(unknowns, args, free)
+    while status is Status.MAXIMUM_ITERATIONS and trials < max_iterations:
+        steps = min(STEPS_A_ROUND, max_iterations - trials)
+        x, tried, moved = _round(unknowns, o, free, full.scale, method, jnp.asarray(steps))
+        trials, accepted = trials + int(tried), accepted + int(moved)
+        if not jnp.isfinite(x).all():
+            status = Status.DIVERGED
+            break
+        unknowns = _moved(unknowns, o, free, x / full.scale)
+        full = _full_step(unknowns, args, free)
+        if full.met:
+            status = Status.CONVERGED
+        elif not jnp.isfinite(full.x).all():
+            status = Status.SINGULAR
+        elif not moved:
+            status = Status.STALLED
+    ends = (jnp.asarray(number) for number in (int(status), trials, accepted))
+    return unknowns, Iterations(*ends, initial, _cost(unknowns, o), full.measure)
+
+
+def _residuals(unknowns: Unknowns, observations: Observations) -> Float[Array, " observation"]:
+    return jnp.concatenate([v.ravel() for v in weighted_residuals(unknowns, observations)])
+
+
+@eqx.filter_jit
+def _cost(unknowns: Unknowns, observations: Observations) -> Float[Array, ""]:
+    return 0.5 * jnp.sum(_residuals(unknowns, observations) ** 2)
+
+
+@eqx.filter_jit
+def _moved(unknowns: Unknowns, o: Observations, free: Int[np.ndarray, " free"], d: Float[Array, " free"]) -> Unknowns:
+    """The unknowns after a correction of the free elements."""
+    held = jnp.zeros(o.exterior_free.shape), jnp.zeros(o.interior_free.shape), jnp.zeros(o.point_free.shape)
+    flat, unflatten = ravel_pytree(held)
+    exterior, by_column, points = unflatten(flat.at[free].set(d))
+    interior = jnp.zeros_like(unknowns.interior).at[np.array(o.columns, int)].set(by_column)
+    return corrected(unknowns, Correction(exterior, interior, points), o.in_angles, o.system)
+
+
+@eqx.filter_jit
+def _round(
+    unknowns: Unknowns,
+    o: Observations,
+    free: Int[np.ndarray, " free"],
+    scale: Float[Array, " free"],
+    method: str,
+    steps: Int[Array, ""],
+) -> tuple[Float[Array, " free"], Int[Array, ""], Int[Array, ""]]:
+    """Some steps of jaxopt's solver: scaled corrections, how many steps were made, and how many changed them."""
+
+    def residuals(x: Float[Array, " free"]) -> Float[Array, " observation"]:
+        return _residuals(_moved(unknowns, o, free, x / scale), o)
+
+    solver: Any
+    if method == "gauss-newton":
+        solver = jaxopt.GaussNewton(residuals, implicit_diff=False)
+    else:
+        solver = jaxopt.LevenbergMarquardt(residuals, solver="cholesky", materialize_jac=True, implicit_diff=False)
+    start, zero = jnp.zeros(free.shape), jnp.asarray(0)
+    at_rest = AT_REST * jnp.linalg.norm(residuals(start))
+
+    def moving(carry: tuple) -> Array:
+        _, state, tried, _ = carry
+        return (tried < steps) & (state.error > at_rest)
+
+    def step(carry: tuple) -> tuple:
+        x, state, tried, moved = carry
+        new, state = solver.update(x, state)
+        return new, state, tried + 1, moved + jnp.any(new != x)
+
+    x, _, tried, moved = lax.while_loop(moving, step, (start, solver.init_state(start), zero, zero))
+    return x, tried, moved
+
+
+@eqx.filter_jit
+def _full_step(unknowns: Unknowns, args: Arguments, free: Int[np.ndarray, " free"]) -> FullStep:
+    """The Gauss-Newton step by QR of the dense design matrix."""
+    o, rule = args.observations, args.rule
+
+    def residuals(d: Float[Array, " free"]) -> Float[Array, " observation"]:
+        return _residuals(_moved(unknowns, o, free, d), o)
+
+    zero = jnp.zeros(free.shape)
+    v, design = residuals(zero), jax.jacfwd(residuals)(zero)
+    length = jnp.linalg.norm(design, axis=0)
+    scale = jnp.where(length > 0, length, 1.0)
+    q, r = jnp.linalg.qr(design / scale)
+    tangential = q.T @ v  # as long as A d
+    x = -solve_triangular(r, tangential)
+    # rounding of the image coordinates: no step can be told from 0 below it
+    noise = jnp.sum((4 * jnp.finfo(v.dtype).eps * o.coordinates * o.weights) ** 2)
+    angle_squared = jnp.maximum(jnp.sum(tangential**2) - noise, 0.0) / jnp.sum(v**2)
+    measure = rule.measure(StepTaken(unknowns, _moved(unknowns, o, free, x / scale), angle_squared, o))
+    # jaxopt subtracts two sums of squares: what a step would change in their last digits it cannot see
+    at_floor = angle_squared <= 16 * jnp.finfo(v.dtype).eps
+    return FullStep(x, scale, measure, (measure <= rule.limit) | at_floor)
