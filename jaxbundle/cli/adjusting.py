@@ -7,6 +7,7 @@ import typer
 
 from jaxbundle.block.block import Block
 from jaxbundle.block.changes import with_interior_held
+from jaxbundle.block.problems import BlockError
 from jaxbundle.cli.progress import ProgressLines
 from jaxbundle.io import read
 from jaxbundle.report.columns import wrapped
@@ -38,7 +39,19 @@ def run(path: Path, out: Path | None, wanted: Wanted, hold_interior: bool, preci
     folder = out or Path(f"{path.resolve().stem}-adjusted")
     require_place(folder, block)  # before the work, not after it
     with lines.phase("adjusting"):
-        adjustment = adjust(
+        adjustment = _adjusted(block, wanted, rule, precision, lines)
+    with lines.phase("writing"):
+        write_report(adjustment, folder)
+    echo_result(adjustment)
+    typer.echo(f"Results: {folder}")
+    return 0 if adjustment.trustworthy else 1
+
+
+def _adjusted(
+    block: Block, wanted: Wanted, rule: AbstractStoppingRule, precision: bool, lines: ProgressLines
+) -> Adjustment:
+    try:
+        return adjust(
             block,
             method=wanted.method,
             stop=rule,
@@ -47,11 +60,10 @@ def run(path: Path, out: Path | None, wanted: Wanted, hold_interior: bool, preci
             engine=wanted.engine,
             progress=lines.iteration,
         )
-    with lines.phase("writing"):
-        write_report(adjustment, folder)
-    echo_result(adjustment)
-    typer.echo(f"Results: {folder}")
-    return 0 if adjustment.trustworthy else 1
+    except ValueError as error:
+        if isinstance(error, BlockError) or wanted.engine == "block":
+            raise
+        raise typer.BadParameter(str(error)) from error  # the second opinion takes small blocks only
 
 
 def echo_result(adjustment: Adjustment) -> None:

@@ -1,68 +1,147 @@
-"""Cofactors of the unknowns at the minimum: blocks of N^-1.
+"""Cofactors of the unknowns at the minimum: blocks of N^-1 from the factors of the elimination.
 
-Q_kk = (U - E^T E)^-1                      kept unknowns
-Q_pp = V^-1 + G Q_kk G^T,  G = L^-T E      an eliminated point, 3 x 3
+    Q_kk = (U - E E^T)^-1                                     kept unknowns, where the pool has blocks
+    Q_pp = L^-T (I + E^T Q_kk E) L^-1                         an eliminated point, 3 x 3
+
+With T the tile's part of Q_kk below the diagonal and half of it on the diagonal, E^T Q_kk E = M + M^T, M = E^T T E: the
+images of a tile that share no point have no block in the pool, and need none.
 """
 
 from typing import NamedTuple
 
+import jax
 import jax.numpy as jnp
 from jax import lax
+from jax.sharding import PartitionSpec
 from jaxtyping import Array, Float
 
-from jaxbundle.normals import reduced
-from jaxbundle.normals.plan import Plan
-from jaxbundle.normals.point_blocks import PointFactor, backward, forward
-from jaxbundle.normals.schur import Tables, _groups, _Sums, eliminate, eliminate_chunk, free_columns
+from jaxbundle.normals.arrange import Arranged, Problem
+from jaxbundle.normals.cells import Tiles
+from jaxbundle.normals.eliminate import Eliminated, border_rows, coupling_rows, eliminate, eliminate_chunk
+from jaxbundle.normals.point_blocks import PointFactor, backward
+from jaxbundle.normals.reduced_system import ReducedCofactors, ReducedSystem, factorise
+from jaxbundle.normals.reduced_system import cofactors as reduced_cofactors
+from jaxbundle.normals.step import AXIS, Linearised, linearise, local_tiles, partition, reduced_system
+from jaxbundle.normals.tiles import CLASSES, MOST_TILES, SLOTS
 
 
 class Cofactors(NamedTuple):
-    """Cofactors of all unknowns, 0 where an element is held, and the weakest share of each (0: undetermined)."""
+    """Cofactors in the order of elimination, 0 for what is held; and the share of its own normal equation that the
+    elimination left of each unknown (0: undetermined)."""
 
-    kept: Float[Array, "kept kept"]
-    points: Float[Array, "3 3 point"]
-    kept_pivots: Float[Array, " kept"]
-    point_pivots: Float[Array, " point"]
+    images: Float[Array, "image d d"]
+    coupling: Float[Array, "image d border"]
+    border: Float[Array, "border border"]
+    points: Float[Array, "3 3 tile column"]
+    image_pivots: Float[Array, "image d"]
+    border_pivots: Float[Array, " border"]
+    point_pivots: Float[Array, "tile column"]
+    system: ReducedSystem  # for who asks why a pivot failed
 
 
-def cofactors(t: Tables, plan: Plan) -> Cofactors:
+def cofactors(unknowns: Arranged, p: Problem) -> Cofactors:
     """Cofactors of the undamped normal equations; not finite where these are singular."""
-    zero = jnp.asarray(0.0)
-    size, points = plan.size, t.observations.point_free.shape[1]
-    e = eliminate(t, plan, zero)
-    factor = reduced.factorise(e.reduced, e.diagonal, zero, free_columns(t.observations, plan))
-    q = reduced.inverse(factor)
-    _, point_sums = _groups(
-        t, plan, _Sums(jnp.zeros((size + 1, size + 1)), jnp.zeros(size + 1)), jnp.zeros((9, points + 1))
+    linear, free = linearise(unknowns, p), p.free_tiles
+    if p.devices == 1:
+        return _on_device(unknowns, linear, p, free, None)
+    everywhere, of_tiles = PartitionSpec(), PartitionSpec(None, AXIS)
+    out = Cofactors(
+        *[everywhere] * 3, PartitionSpec(None, None, AXIS), *[everywhere] * 2, PartitionSpec(AXIS), everywhere
     )
-
-    def add_chunk(c: Array, store: Array) -> Array:
-        chunk = eliminate_chunk(t, plan, point_sums, zero, c)
-        n = chunk.point.shape[0]
-        coupling = chunk.coupling[:, :size].reshape(n, 3, size)
-        factor_of_rows = PointFactor(*(f[:, None] for f in chunk.factor))
-        g = jnp.stack(backward(factor_of_rows, (coupling[:, 0], coupling[:, 1], coupling[:, 2])), 1)
-        spread = jnp.einsum("nik,njk->ijn", (g.reshape(3 * n, size) @ q).reshape(n, 3, size), g)
-        return store.at[:, :, chunk.point].set(spread + _inverse(chunk.factor))
-
-    eliminated = lax.fori_loop(0, plan.ray.shape[0], add_chunk, jnp.zeros((3, 3, points + 1)))[:, :, :points]
-    first = plan.point_column[plan.kept_point][:, None] + jnp.arange(3)
-    blocks = q[first[:, :, None], first[:, None, :]].transpose(1, 2, 0)
-    return Cofactors(q, eliminated.at[:, :, plan.kept_point].set(blocks), factor.pivots, _point_pivots(t, e, plan))
+    unknown_parts, linear_parts, problem_parts = partition(unknowns, linear, p)
+    return jax.shard_map(
+        lambda *args: _on_device(*args, AXIS),
+        mesh=jax.make_mesh((p.devices,), (AXIS,)),
+        in_specs=(unknown_parts, linear_parts, problem_parts, of_tiles),
+        out_specs=out,
+        check_vma=False,
+    )(unknowns, linear, p, free)
 
 
-def _inverse(factor: PointFactor) -> Float[Array, "3 3 point"]:
-    """V^-1 = L^-T L^-1."""
-    one, zero = jnp.ones_like(factor.i0), jnp.zeros_like(factor.i0)
-    units = ((one, zero, zero), (zero, one, zero), (zero, zero, one))
-    columns = [backward(factor, forward(factor, unit)) for unit in units]
-    return jnp.stack([jnp.stack(column) for column in columns], 1)
+def _on_device(unknowns: Arranged, linear: Linearised, p: Problem, free: Array, axis: str | None) -> Cofactors:
+    zero = jnp.zeros(())
+    tiles = local_tiles(p.tiles)
+    rays, _ = eliminate(p.observations, linear.table, unknowns.tiles, linear.prior, free, zero, tiles, p.shape)
+    system = reduced_system(lax.psum(rays, axis) if axis else rays, linear.kept, p).system
+    factor = factorise(p.reduced, system, zero)
+    q = reduced_cofactors(p.reduced, factor)
+    points, pivots = _points(unknowns, linear, p, free, tiles, q)
+    images = q.pool.at[-1].set(0.0)[p.diagonal_pair]
+    return Cofactors(images, q.coupling, q.border, points, factor.pivots, factor.border_pivots, pivots, system)
 
 
-def _point_pivots(t: Tables, e, plan: Plan) -> Float[Array, " point"]:
-    """Smallest share of a coordinate's own normal equation left within its point; 1 for held and kept points."""
+def _points(
+    unknowns: Arranged, linear: Linearised, p: Problem, free: Array, tiles: Tiles, q: ReducedCofactors
+) -> tuple[Float[Array, "3 3 tile column"], Float[Array, "tile column"]]:
+    """Cofactors and weakest pivots of the points of one device."""
+    o, shape = p.observations, p.shape
+    d, n = shape.image, unknowns.tiles.shape[2]
+    inner = shape.shared * shape.cameras
+    halved = q.pool.at[p.diagonal_pair].multiply(0.5).at[-1].set(0.0)
+
+    def do_chunk(c: Array, store: Array) -> Array:
+        e = eliminate_chunk(o, linear.table, unknowns.tiles, linear.prior, free, jnp.zeros(()), tiles, c)
+        coupling = coupling_rows(e, 0, d)
+        m = _tile_products(coupling, halved, tiles, c, e.chunk.count, d, n)
+        if inner:
+            eb = border_rows(e, o, shape)
+            at_slot = jnp.take(eb, e.chunk.tile, axis=0, mode="clip")
+            images = jnp.take(q.coupling[:, :, :inner], e.chunk.slot_image, axis=0, mode="clip")
+            crossed = jnp.einsum("sab,sbk->sak", images, at_slot)
+            by_slot = _contracted(coupling.reshape(SLOTS, d, 3, n), crossed.reshape(SLOTS, d, 3, n))
+            m = m.at[e.chunk.tile].add(by_slot)
+            half = 0.5 * jnp.einsum("ab,tbk->tak", q.border[:inner, :inner], eb)
+            m = m + _contracted(eb.reshape(-1, inner, 3, n), half.reshape(-1, inner, 3, n))
+        blocks, pivot = _point_blocks(e, m)
+        rows = jnp.concatenate([blocks.reshape(MOST_TILES, 9 * n), pivot], 1)
+        return lax.dynamic_update_slice(store, rows, (e.chunk.first_tile, jnp.zeros_like(e.chunk.first_tile)))
+
+    store = lax.fori_loop(0, tiles.chunks, do_chunk, jnp.zeros((unknowns.tiles.shape[1], 10 * n)))
+    return store[:, : 9 * n].reshape(-1, 3, 3, n).transpose(1, 2, 0, 3), store[:, 9 * n :]
+
+
+def _contracted(
+    left: Float[Array, "entity row 3 n"], right: Float[Array, "entity row 3 n"]
+) -> Float[Array, "entity 3 3 n"]:
+    """Sum over the rows of the products of every pair of coordinates, point by point."""
+    return jnp.stack([jnp.sum(left[:, :, k, None] * right, 1) for k in range(3)], 1)
+
+
+def _tile_products(
+    coupling: Array, halved: Array, tiles: Tiles, c: Array, count: Array, d: int, n: int
+) -> Float[Array, "tile 3 3 n"]:
+    """M = E^T T E of every tile of the chunk; one loop a class, of which one turns."""
+    kind = lax.dynamic_index_in_dim(tiles.tile_class, c, 0, False)
+    offset = lax.dynamic_index_in_dim(tiles.pair_offset, c, 0, False)
+
+    def of_tiles(size: int):
+        def one(t: Array, store: Array) -> Array:
+            e = lax.dynamic_slice_in_dim(coupling, t * size, size, 0).reshape(size * d, 3 * n)
+            block = lax.dynamic_slice_in_dim(tiles.pair, offset + t * size * size, size * size, 0)
+            lower = jnp.take(halved, block, axis=0, mode="clip").reshape(size, size, d, d)
+            product = lower.transpose(0, 2, 1, 3).reshape(size * d, size * d) @ e
+            m = _contracted(e.reshape(1, size * d, 3, n), product.reshape(1, size * d, 3, n))
+            return lax.dynamic_update_slice_in_dim(store, m, t, 0)
+
+        return one
+
+    store = jnp.zeros((MOST_TILES, 3, 3, n))
+    for k, size in enumerate(CLASSES):
+        store = lax.fori_loop(0, jnp.where(kind == k, count, 0), of_tiles(size), store)
+    return store
+
+
+def _point_blocks(e: Eliminated, m: Float[Array, "tile 3 3 n"]) -> tuple[Float[Array, "tile 3 3 n"], Array]:
+    """L^-T (I + M + M^T) L^-1 and the smallest pivot's share."""
+    n = m.shape[3]
+    number = [e.factor[:, k * n : (k + 1) * n] for k in range(12)]
+    f = PointFactor(*number[:6])
+    c = [[m[:, i, j] + m[:, j, i] + (i == j) for j in range(3)] for i in range(3)]
+    half = [backward(f, (c[0][j], c[1][j], c[2][j])) for j in range(3)]  # columns of L^-T C
+    rows = [backward(f, (half[0][i], half[1][i], half[2][i])) for i in range(3)]
     shares = []
-    for k in range(3):
-        free = t.observations.point_free[k] & (e.factor[k] != 0)
-        shares.append(jnp.where(free, 1 / jnp.where(free, e.factor[k] ** 2 * e.point_diagonal[k], 1.0), 1.0))
-    return jnp.min(jnp.stack(shares), 0)
+    for inverse_pivot, diagonal in zip(f[:3], number[9:], strict=True):
+        free = (inverse_pivot != 0) & (diagonal > 0)
+        shares.append(jnp.where(free, 1 / jnp.where(free, inverse_pivot**2 * diagonal, 1.0), 1.0))
+    pivot = jnp.minimum(jnp.minimum(shares[0], shares[1]), shares[2])
+    return jnp.stack([jnp.stack(row, 1) for row in rows], 1), pivot

@@ -83,9 +83,12 @@ class PanelCholesky(AbstractImageFactor[Tiles]):
 
     def selected_inverse(self, factor: Tiles, d: int) -> Float[Array, "pair d d"]:
         part = self._part()
-        factor, z = _selected_inverse(factor, jnp.zeros_like(factor), part.separator, part.end_tiles)
+        k = _unit_factor(factor, part.separator, part.end_tiles)
         if part.ends is not None:
-            _, z = _selected_inverse(factor, z, part.ends, 0)
+            k = _unit_factor(k, part.ends, 0)
+        z = _selected_inverse(k, jnp.zeros_like(k), part.separator, part.end_tiles)
+        if part.ends is not None:
+            z = _selected_inverse(k, z, part.ends, 0)
         q = factor.shape[1] // d
         tile, row, column = part.pair_place.T
         blocks = z.reshape(-1, q, d, q, d).at[tile, row, :, column].get(mode="fill", fill_value=0.0)
@@ -150,6 +153,11 @@ def _put(x: Array, value: Array, i: Array) -> Array:
     return lax.dynamic_update_index_in_dim(x, value, i, 0)
 
 
+def _transposed(x: Array) -> Array:
+    """Written out: XLA has no fast product with a transposed left factor."""
+    return lax.optimization_barrier(x.T)
+
+
 def _factorise(
     tiles: Tiles, empty: Float[Array, "panel b"], columns: Columns, first_tile: int, first_panel: int
 ) -> Tiles:
@@ -201,38 +209,48 @@ def _backward(tiles: Tiles, y: Sides, columns: Columns, first_tile: int, first_p
     return lax.fori_loop(0, columns.count, column, y)
 
 
-def _selected_inverse(tiles: Tiles, z: Tiles, columns: Columns, first_tile: int) -> tuple[Tiles, Tiles]:
-    """Z in the columns given, and K in place of L there."""
+def _unit_factor(tiles: Tiles, columns: Columns, first_tile: int) -> Tiles:
+    """K in place of L below the diagonal of the columns given."""
 
-    def column(step: Array, carry: tuple[Array, Array]) -> tuple[Array, Array]:
-        j = columns.count - 1 - step
-        inverse = _at(carry[0], first_tile + j)
-        first, end = columns.first_below[j], columns.first_below[j + 1]
-        update, last = columns.first_update[j], columns.first_update[j + 1]
+    def column(j: Array, k: Array) -> Array:
+        inverse = _at(k, first_tile + j)
 
         def below(i: Array, k: Array) -> Array:
             a = columns.below[i, 0]
             return _put(k, _at(k, a) @ inverse, a)
 
-        k = lax.fori_loop(first, end, below, carry[0])
+        return lax.fori_loop(columns.first_below[j], columns.first_below[j + 1], below, k)
 
-        # two passes: a turn that changes two tiles of z makes XLA copy it all
+    return lax.fori_loop(0, columns.count, column, tiles)
+
+
+def _selected_inverse(k: Tiles, z: Tiles, columns: Columns, first_tile: int) -> Tiles:
+    """Z in the columns given, 0 there before. `k`: K below the diagonal, C_J on it.
+
+    A turn of a loop changes one tile of one array; XLA copies whole arrays where it changes more.
+    """
+
+    def column(step: Array, z: Array) -> Array:
+        j = columns.count - 1 - step
+        first, end = columns.first_below[j], columns.first_below[j + 1]
+        update, last = columns.first_update[j], columns.first_update[j + 1]
+
         def left(i: Array, z: Array) -> Array:
             a, b, target = columns.update[i]
             return _put(z, _at(z, a) - _at(z, target) @ _at(k, b), a)
 
         def right(i: Array, z: Array) -> Array:
             a, b, target = columns.update[i]
-            return _put(z, _at(z, b) - _at(z, target).T @ _at(k, a), b)
+            return _put(z, _at(z, b) - _transposed(_at(z, target)) @ _at(k, a), b)
 
-        z = lax.fori_loop(update, last, left, carry[1])
-        z = lax.fori_loop(update + end - first, last, right, z)  # the first ones are diagonal tiles
-        own = lax.fori_loop(
-            first,
-            end,
-            lambda i, s: s - _at(k, columns.below[i, 0]).T @ _at(z, columns.below[i, 0]),
-            inverse.T @ inverse,
-        )
-        return k, _put(z, own, first_tile + j)
+        def own(i: Array, block: Array) -> Array:
+            a = columns.below[i, 0]
+            return block - _transposed(_at(k, a)) @ _at(z, a)
 
-    return lax.fori_loop(0, columns.count, column, (tiles, z))
+        z = lax.fori_loop(update, last, left, z)
+        z = lax.fori_loop(update + end - first, last, right, z)  # the first ones are diagonal tiles, done
+        inverse = _at(k, first_tile + j)
+        block = lax.fori_loop(first, end, own, _transposed(inverse) @ inverse)
+        return _put(z, block, first_tile + j)
+
+    return lax.fori_loop(0, columns.count, column, z)

@@ -178,12 +178,6 @@ def local_tiles(tiles: Tiles) -> Tiles:
     )
 
 
-def tile_specs(tiles: Tiles) -> Tiles:
-    """Partition of the tiles over the devices."""
-    parted = PartitionSpec(AXIS)
-    return eqx.tree_at(lambda t: t.pair, jax.tree.map(lambda _: parted, tiles), PartitionSpec())
-
-
 def trial_step(unknowns: Arranged, p: Problem, damping: Float[Array, ""]) -> Trial:
     """Linearises, eliminates, solves, substitutes back and evaluates."""
     linear = linearise(unknowns, p)
@@ -193,7 +187,7 @@ def trial_step(unknowns: Arranged, p: Problem, damping: Float[Array, ""]) -> Tri
     else:
         part = _on_devices(unknowns, linear, damping, p, free)
     after = Arranged(part.images, part.tiles)
-    pairs = [*_kept_residuals(unknowns, after, p), *_group_residuals(unknowns, after, p)]
+    pairs = list(zip(_whole_residuals(unknowns, p), _whole_residuals(after, p), strict=True))
     cost = part.cost + 0.5 * sum(jnp.sum(v * v) for v, _ in pairs)
     # v^2 - w^2 as a product: the difference of two nearly equal sums would be noise near the minimum
     reduction = part.reduction + 0.5 * sum(jnp.sum((v - w) * (v + w)) for v, w in pairs)
@@ -208,48 +202,66 @@ def trial_step(unknowns: Arranged, p: Problem, damping: Float[Array, ""]) -> Tri
     )
 
 
-def _on_devices(unknowns: Arranged, linear: Linearised, damping: Array, p: Problem, free: Array) -> _RayPart:
-    everywhere, of_tiles = PartitionSpec(), PartitionSpec(None, AXIS)
-    whole = lambda tree: jax.tree.map(lambda _: everywhere, tree)  # noqa: E731
-    in_specs = (
+def partition(unknowns: Arranged, linear: Linearised, p: Problem) -> tuple[Arranged, Linearised, Problem]:
+    """How the arguments of a step lie on the devices: tiles parted, all else everywhere."""
+
+    def whole(tree):
+        return jax.tree.map(lambda _: PartitionSpec(), tree)
+
+    of_tiles = PartitionSpec(None, AXIS)
+    parts = jax.tree.map(lambda _: PartitionSpec(AXIS), p.tiles)
+    tiles = eqx.tree_at(lambda t: t.pair, parts, PartitionSpec())
+    return (
         Arranged(whole(unknowns.images), of_tiles),
         whole(linear)._replace(prior=None if linear.prior is None else of_tiles),
-        everywhere,
-        eqx.tree_at(lambda x: x.tiles, whole(p), tile_specs(p.tiles)),
-        of_tiles,
+        eqx.tree_at(lambda x: x.tiles, whole(p), tiles),
     )
-    out_specs = whole(_RayPart(unknowns.images, *[damping] * 6))._replace(tiles=of_tiles)
+
+
+def _on_devices(unknowns: Arranged, linear: Linearised, damping: Array, p: Problem, free: Array) -> _RayPart:
+    everywhere, of_tiles = PartitionSpec(), PartitionSpec(None, AXIS)
+    unknown_parts, linear_parts, problem_parts = partition(unknowns, linear, p)
+    out_specs = _RayPart(unknown_parts.images, of_tiles, *[everywhere] * 5)
     return jax.shard_map(
         lambda *args: _on_device(*args, AXIS),
         mesh=jax.make_mesh((p.devices,), (AXIS,)),
-        in_specs=in_specs,
+        in_specs=(unknown_parts, linear_parts, everywhere, problem_parts, of_tiles),
         out_specs=out_specs,
         check_vma=False,
     )(unknowns, linear, damping, p, free)
 
 
-def _kept_residuals(before: Arranged, after: Arranged, p: Problem) -> list[tuple[Array, Array]]:
-    """Weighted residuals of the rays of kept points before and after a step."""
-    if p.kept_rays.image.shape[0] == 0:
-        return []
-    old, new = (_kept_ray_residuals(u.images, p) for u in (before, after))
-    return list(zip(old, new, strict=True))
+def _whole_residuals(unknowns: Arranged, p: Problem) -> list[Array]:
+    """Weighted residuals of everything but the cells: rays of kept points, and observations that are no rays."""
+    residuals, rays, o = [], p.kept_rays, p.observations
+    if rays.image.shape[0]:
+        u = unknowns.images
+        interior = tuple(u.interior[:, o.image_camera[rays.image]])
+        rotation, centre = tuple(u.rotation[:, rays.image]), tuple(u.centre[:, rays.image])
+        v = image_equation(o.model, rotation, centre, interior, tuple(u.points[:, rays.point]), tuple(rays.measured))
+        residuals += [jnp.where(w > 0, r * w, 0.0) for r, w in zip(v, rays.weights, strict=True)]
+    if o.groups:
+        flat = unknowns.flat()
+        residuals += [group_residuals(flat, group) * group.weights for group in o.groups]
+    return residuals
 
 
-def _kept_ray_residuals(u: Unknowns, p: Problem) -> list[Array]:
-    rays, o = p.kept_rays, p.observations
-    interior = tuple(u.interior[:, o.image_camera[rays.image]])
-    rotation, centre = tuple(u.rotation[:, rays.image]), tuple(u.centre[:, rays.image])
-    v = image_equation(o.model, rotation, centre, interior, tuple(u.points[:, rays.point]), tuple(rays.measured))
-    return [jnp.where(w > 0, r * w, 0.0) for r, w in zip(v, rays.weights, strict=True)]
-
-
-def _group_residuals(before: Arranged, after: Arranged, p: Problem) -> list[tuple[Array, Array]]:
-    """Weighted residuals of all other observations before and after a step."""
-    if not p.observations.groups:
-        return []
-    old, new = before.flat(), after.flat()
-    return [(group_residuals(old, g) * g.weights, group_residuals(new, g) * g.weights) for g in p.observations.groups]
+def weighted_residuals(unknowns: Arranged, p: Problem) -> list[Array]:
+    """Weighted residuals of all observations; cells first, 0 where there is no ray."""
+    o, tiles = p.observations, p.tiles
+    number = jnp.moveaxis(image_values(unknowns.images, o)[tiles.slot_image], -1, 0)[..., None]
+    first = unknowns.tiles.shape[1] // p.devices * jnp.arange(p.devices)[:, None, None]
+    x, y, z = unknowns.tiles[:, tiles.slot_tile + first]
+    v = image_equation(
+        o.model,
+        tuple(number[:9]),
+        (number[9], number[10], number[11]),
+        tuple(number[12:]),
+        (x, y, z),
+        (tiles.measured[:, :, 0], tiles.measured[:, :, 1]),
+    )
+    cells = [jnp.where(tiles.weights[:, :, k] > 0, v[k] * tiles.weights[:, :, k], 0.0) for k in range(2)]
+    return [*cells, *_whole_residuals(unknowns, p)]
 
 
 def _noise(p: Problem) -> Float[Array, ""]:

@@ -13,12 +13,26 @@ from jaxtyping import Array, Float
 from jaxbundle.block.block import Block
 from jaxbundle.block.datum import with_datum
 from jaxbundle.block.residuals import Observations, group_residuals, observations_of, ray_residuals
-from jaxbundle.block.unknowns import Unknowns, angle_derivatives, unknowns_of, with_unknowns
+from jaxbundle.block.unknowns import (
+    Unknowns,
+    angle_derivatives,
+    corrected_in_angles,
+    unknowns_of,
+    with_unknowns,
+)
 from jaxbundle.block.validate import require_valid
 from jaxbundle.geometry.precision import require_float64
-from jaxbundle.normals import schur
+from jaxbundle.normals.arrange import (
+    Arranged,
+    Arrangement,
+    Problem,
+    arrange,
+    arranged_unknowns,
+    problem,
+    restored_unknowns,
+)
 from jaxbundle.normals.cofactors import Cofactors, cofactors
-from jaxbundle.normals.plan import Plan, plan
+from jaxbundle.normals.reduced_plan import Method
 from jaxbundle.solve import levenberg_marquardt as solver
 from jaxbundle.solve.adjustment import Adjustment, BlockCofactors, Iterations, Status
 from jaxbundle.solve.levenberg_marquardt import Arguments, BundleSolver, State
@@ -28,6 +42,7 @@ from jaxbundle.solve.undetermined import undetermined_unknowns
 
 METHODS = {"levenberg-marquardt": DampedSearch, "gauss-newton": FullStep}
 ENGINES = ("block", "jaxopt")
+RAYS_FOR_DEVICES = 10_000
 _STATUS = {
     solver.RUNNING: Status.MAXIMUM_ITERATIONS,
     solver.CONVERGED: Status.CONVERGED,
@@ -56,13 +71,17 @@ def adjust(
     max_iterations: int = 200,
     precision: bool = True,
     engine: str = "block",
+    reduced: Method = "auto",
+    devices: int | None = None,
     progress: Callable[[Progress], None] | None = None,
 ) -> Adjustment:
     """Adjusts a block by least squares; its values are the start.
 
     `method`: "levenberg-marquardt" or "gauss-newton". `stop`: a stopping rule, AngleRule() if none is given.
     `precision`: compute cofactors and standard deviations. `engine`: "block", or "jaxopt" as a second opinion on small
-    blocks. `progress` is called after every iteration. Ctrl-C ends the iterations and keeps the last accepted unknowns.
+    blocks. `reduced`: how the reduced equations are solved, "dense" or "panels", "auto" by their size. `devices`: JAX
+    devices to deal the points to; if None all of them, or one for a small block. `progress` is called after every
+    iteration. Ctrl-C ends the iterations and keeps the last accepted unknowns.
 
     Raises: BlockError with all problems of the block; ValueError for an unknown name or without float64.
     """
@@ -74,31 +93,41 @@ def adjust(
     block = with_datum(block)
     origin = jax.lax.stop_gradient(jnp.mean(block.exterior.projection_centre, 0))
     centred = block.moved(-origin)
-    args = Arguments(observations_of(centred), plan(block.structure, block.groups), stop or AngleRule())
+    rule = stop or AngleRule()
+    centres = np.asarray(block.exterior.projection_centre) if block.concrete else None
+    plan = arrange(block.structure, block.groups, centres, devices or _useful_devices(block), reduced)
     if engine == "jaxopt":
         # jaxopt warns at import that it is no longer developed: only who asks for it shall load it
         second_opinion = importlib.import_module("jaxbundle.solve.second_opinion")
+        args = second_opinion.Arguments(observations_of(centred), rule)
         unknowns, iterations = second_opinion.solve(unknowns_of(centred), args, method, max_iterations)
+        arranged = arranged_unknowns(plan, unknowns)
     else:
-        unknowns, iterations = _iterate(centred, args, method, max_iterations, progress)
-    return _answer(centred, unknowns, args, iterations, origin, method, precision)
+        arguments = Arguments(problem(plan, centred), rule.arranged(plan.order))
+        arranged, iterations = _iterate(centred, plan, arguments, method, max_iterations, progress)
+    return _answer(centred, plan, arranged, iterations, origin, rule.name, method, precision)
+
+
+def _useful_devices(block: Block) -> int:
+    """Devices worth dealing the tiles to: a small block loses more to their exchange than it gains."""
+    return jax.local_device_count() if len(block.structure.ray_image) >= RAYS_FOR_DEVICES else 1
 
 
 def _iterate(
     block: Block,
+    plan: Arrangement,
     args: Arguments,
     method: str,
     max_iterations: int,
     progress: Callable[[Progress], None] | None,
-) -> tuple[Unknowns, Iterations]:
+) -> tuple[Arranged, Iterations]:
     """Runs the solver: all steps in one program under tracing, else step by step so that a user can look on."""
     bundle = BundleSolver(METHODS[method]())
-    unknowns = unknowns_of(block)
-    state = start = _first(bundle, unknowns, args)
+    unknowns, state = arranged_unknowns(plan, unknowns_of(block)), bundle.first()
     if not block.concrete:
         unknowns, state = solver.run(bundle, unknowns, args, state, max_iterations)
         codes = jnp.array([_STATUS[k] for k in range(len(_STATUS))])
-        return unknowns, _iterations(start, state, codes[state.status])
+        return unknowns, _iterations(state, codes[state.status])
     interrupted = False
     try:
         while int(state.trials) < max_iterations and int(state.status) == solver.RUNNING:
@@ -109,16 +138,11 @@ def _iterate(
     except KeyboardInterrupt:
         interrupted = True
     status = Status.INTERRUPTED if interrupted else _STATUS[int(state.status)]
-    return unknowns, _iterations(start, state, jnp.asarray(int(status)))
+    return unknowns, _iterations(state, jnp.asarray(int(status)))
 
 
-@eqx.filter_jit
-def _first(bundle: BundleSolver, unknowns: Unknowns, args: Arguments) -> State:
-    return bundle.first(unknowns, args)
-
-
-def _iterations(start: State, state: State, status: Array) -> Iterations:
-    return Iterations(status, state.trials, state.accepted, start.cost, state.cost, state.measure)
+def _iterations(state: State, status: Array) -> Iterations:
+    return Iterations(status, state.trials, state.accepted, state.initial_cost, state.cost, state.measure)
 
 
 def _progress(block: Block, state: State, accepted: bool) -> Progress:
@@ -129,31 +153,39 @@ def _progress(block: Block, state: State, accepted: bool) -> Progress:
 
 def _answer(
     block: Block,
-    unknowns: Unknowns,
-    args: Arguments,
+    plan: Arrangement,
+    arranged: Arranged,
     iterations: Iterations,
     origin: Float[Array, "3"],
+    rule: str,
     method: str,
     precision: bool,
 ) -> Adjustment:
     """Residuals, cofactors and the adjusted block in the user's object system."""
-    residuals = _residuals(unknowns, args.observations)
-    weights = [args.observations.weights, *(group.weights for group in args.observations.groups)]
+    unknowns, observations = restored_unknowns(plan, arranged), observations_of(block)
+    residuals = _residuals(unknowns, observations)
+    weights = [observations.weights, *(group.weights for group in observations.groups)]
     computed, weak = None, ()
     if precision:
-        q, computed = _cofactors(unknowns, args.observations, args.plan, block.exterior.angles.T)
+        q = _cofactors(arranged, problem(plan, block))
+        computed = _block_cofactors(block, plan, unknowns, q)
         if block.concrete:
-            weak = undetermined_unknowns(block, unknowns, args, q)
+            weak = undetermined_unknowns(block.structure, plan, q)
     return Adjustment(
         with_unknowns(block, unknowns).moved(origin),
         tuple(v.T for v in residuals),
         tuple((v * w).T for v, w in zip(residuals, weights, strict=True)),
         computed,
         iterations,
-        args.rule.name,
+        rule,
         method,
         weak,
     )
+
+
+@eqx.filter_jit
+def _cofactors(arranged: Arranged, problem: Problem) -> Cofactors:
+    return cofactors(arranged, problem)
 
 
 @eqx.filter_jit
@@ -163,21 +195,26 @@ def _residuals(unknowns: Unknowns, observations: Observations) -> tuple[Array, .
     return ray_residuals(unknowns, observations), *groups
 
 
-@eqx.filter_jit
-def _cofactors(
-    unknowns: Unknowns, observations: Observations, plan: Plan, reference: Float[Array, "3 image"]
-) -> tuple[Cofactors, BlockCofactors]:
-    """Cofactors of all unknowns, the angles turned into those of the user's rotation system (near the reference)."""
-    o = observations
-    q = cofactors(schur.tables(unknowns, o), plan)
-    images, cameras, columns = o.exterior_free.shape[1], o.interior_free.shape[1], len(o.columns)
-    of_image = 6 * jnp.arange(images)[:, None] + jnp.arange(6)
-    exterior = q.kept[of_image[:, :, None], of_image[:, None, :]]
-    turned = angle_derivatives(unknowns.rotation, o.in_angles, reference, o.system).transpose(2, 0, 1)
-    to_user = jnp.zeros((images, 6, 6)).at[:, :3, :3].set(jnp.eye(3)).at[:, 3:, 3:].set(turned)
-    exterior = to_user @ exterior @ to_user.transpose(0, 2, 1)
-    of_camera = 6 * images + columns * jnp.arange(cameras)[:, None] + jnp.arange(columns)
-    elements = np.array(o.columns, int)
-    interior = jnp.zeros((cameras, unknowns.interior.shape[0], unknowns.interior.shape[0]))
-    interior = interior.at[:, elements[:, None], elements].set(q.kept[of_camera[:, :, None], of_camera[:, None, :]])
-    return q, BlockCofactors(exterior, interior, q.points.transpose(2, 0, 1))
+def _block_cofactors(block: Block, plan: Arrangement, unknowns: Unknowns, q: Cofactors) -> BlockCofactors:
+    """Cofactors in the order of the block, the angles turned into those of the user's rotation system."""
+    structure, shape = block.structure, plan.shape
+    rows = q.images[plan.order.image]
+    in_angles = jnp.asarray(corrected_in_angles(structure))
+    reference, system = block.exterior.angles.T, structure.rotation_system
+    turned = angle_derivatives(unknowns.rotation, in_angles, reference, system).transpose(2, 0, 1)
+    to_user = jnp.zeros((len(rows), 6, 6)).at[:, :3, :3].set(jnp.eye(3)).at[:, 3:, 3:].set(turned)
+    exterior = to_user @ rows[:, :6, :6] @ to_user.transpose(0, 2, 1)
+
+    elements, columns = block.interior.elements.shape[1], np.array(structure.interior_columns, int)
+    cameras, count = len(structure.cameras), len(columns)
+    if shape.image > 6:
+        own = q.images[plan.order.camera][:, 6:, 6:]
+    else:
+        at = count * np.arange(cameras)[:, None] + np.arange(count)
+        own = q.border[at[:, :, None], at[:, None, :]]
+    interior = jnp.zeros((cameras, elements, elements)).at[:, columns[:, None], columns].set(own)
+
+    at = shape.shared * shape.cameras + 3 * np.arange(shape.kept)[:, None] + np.arange(3)
+    kept = q.border[at[:, :, None], at[:, None, :]]
+    points = jnp.concatenate([q.points.transpose(2, 3, 0, 1).reshape(-1, 3, 3), kept])[plan.order.point]
+    return BlockCofactors(exterior, interior, points)

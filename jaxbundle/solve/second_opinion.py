@@ -25,12 +25,18 @@ from jaxtyping import Array, Bool, Float, Int
 from jaxbundle.block.residuals import Observations, weighted_residuals
 from jaxbundle.block.unknowns import Correction, Unknowns, corrected
 from jaxbundle.solve.adjustment import Iterations, Status
-from jaxbundle.solve.levenberg_marquardt import Arguments
-from jaxbundle.solve.stopping import StepTaken
+from jaxbundle.solve.stopping import AbstractStoppingRule, StepTaken
 
 MOST_UNKNOWNS = 3000  # a dense Jacobian of some 150 MB
 STEPS_A_ROUND = 10
 AT_REST = 1e-12  # of |v|: a round ends where its gradient or its step, in units of v, is that small
+
+
+class Arguments(NamedTuple):
+    """The observations in the order of the block, and the rule that ends the solve."""
+
+    observations: Observations
+    rule: AbstractStoppingRule
 
 
 class FullStep(NamedTuple):
@@ -53,7 +59,8 @@ def solve(unknowns: Unknowns, args: Arguments, method: str, max_iterations: int)
     if any(isinstance(leaf, Tracer) for leaf in jax.tree.leaves((unknowns, args))):
         raise ValueError('engine "jaxopt" works outside of jit, grad and vmap; there take engine "block"')
     o = args.observations
-    free = np.flatnonzero(np.concatenate([np.ravel(mask) for mask in (o.exterior_free, o.interior_free, o.point_free)]))
+    masks = o.exterior_free, o.interior_free, o.point_free
+    free = jnp.asarray(np.flatnonzero(np.concatenate([np.ravel(mask) for mask in masks])))
     if len(free) > MOST_UNKNOWNS:
         raise ValueError(
             f'engine "jaxopt" keeps a dense Jacobian and takes {MOST_UNKNOWNS} unknowns at most, the block has'
@@ -76,8 +83,8 @@ def solve(unknowns: Unknowns, args: Arguments, method: str, max_iterations: int)
             status = Status.SINGULAR
         elif not moved:
             status = Status.STALLED
-    ends = (jnp.asarray(number) for number in (int(status), trials, accepted))
-    return unknowns, Iterations(*ends, initial, _cost(unknowns, o), full.measure)
+    code, trials, accepted = jnp.asarray(int(status)), jnp.asarray(trials), jnp.asarray(accepted)
+    return unknowns, Iterations(code, trials, accepted, initial, _cost(unknowns, o), full.measure)
 
 
 def _residuals(unknowns: Unknowns, observations: Observations) -> Float[Array, " observation"]:
@@ -90,7 +97,7 @@ def _cost(unknowns: Unknowns, observations: Observations) -> Float[Array, ""]:
 
 
 @eqx.filter_jit
-def _moved(unknowns: Unknowns, o: Observations, free: Int[np.ndarray, " free"], d: Float[Array, " free"]) -> Unknowns:
+def _moved(unknowns: Unknowns, o: Observations, free: Int[Array, " free"], d: Float[Array, " free"]) -> Unknowns:
     """The unknowns after a correction of the free elements."""
     held = jnp.zeros(o.exterior_free.shape), jnp.zeros(o.interior_free.shape), jnp.zeros(o.point_free.shape)
     flat, unflatten = ravel_pytree(held)
@@ -103,7 +110,7 @@ def _moved(unknowns: Unknowns, o: Observations, free: Int[np.ndarray, " free"], 
 def _round(
     unknowns: Unknowns,
     o: Observations,
-    free: Int[np.ndarray, " free"],
+    free: Int[Array, " free"],
     scale: Float[Array, " free"],
     method: str,
     steps: Int[Array, ""],
@@ -135,7 +142,7 @@ def _round(
 
 
 @eqx.filter_jit
-def _full_step(unknowns: Unknowns, args: Arguments, free: Int[np.ndarray, " free"]) -> FullStep:
+def _full_step(unknowns: Unknowns, args: Arguments, free: Int[Array, " free"]) -> FullStep:
     """The Gauss-Newton step by QR of the dense design matrix."""
     o, rule = args.observations, args.rule
 

@@ -15,10 +15,11 @@ import numpy as np
 from jaxtyping import Array, Bool, Float, Int
 
 from jaxbundle.block.block import Block, Structure
-from jaxbundle.block.residuals import Observations, ray_residuals
+from jaxbundle.block.residuals import Observations, observations_of, ray_residuals
 from jaxbundle.block.unknowns import Unknowns
 from jaxbundle.camera.collinearity import central_projection, photo_vector
 from jaxbundle.geometry import rotation
+from jaxbundle.normals.arrange import Order
 
 
 class StepTaken(NamedTuple):
@@ -39,6 +40,10 @@ class AbstractStoppingRule(eqx.Module):
     @abc.abstractmethod
     def measure(self, step: StepTaken) -> Float[Array, ""]:
         """The number that is held against the limit."""
+
+    def arranged(self, order: Order) -> "AbstractStoppingRule":
+        """The rule for unknowns in another order than the block's."""
+        return self
 
 
 class AngleRule(AbstractStoppingRule):
@@ -67,15 +72,25 @@ class ParallaxRule(AbstractStoppingRule):
     limit: float
     first_ray: Int[Array, " pair"]
     second_ray: Int[Array, " pair"]
+    rays: Observations
     name = "parallax"
 
     def measure(self, step: StepTaken) -> Float[Array, ""]:
-        before = jnp.max(jnp.abs(self.parallax(step.before, step.observations)))
-        return before - jnp.max(jnp.abs(self.parallax(step.after, step.observations)))
+        before = jnp.max(jnp.abs(self.parallax(step.before)))
+        return before - jnp.max(jnp.abs(self.parallax(step.after)))
 
-    def parallax(self, unknowns: Unknowns, observations: Observations) -> Float[Array, " pair"]:
+    def arranged(self, order: Order) -> "ParallaxRule":
+        rays = self.rays
+        moved = (
+            jnp.asarray(order.image)[rays.ray_image],
+            jnp.asarray(order.point)[rays.ray_point],
+            jnp.zeros(order.images, jnp.int32).at[order.image].set(jnp.asarray(order.camera)[rays.image_camera]),
+        )
+        return eqx.tree_at(lambda r: (r.rays.ray_image, r.rays.ray_point, r.rays.image_camera), self, moved)
+
+    def parallax(self, unknowns: Unknowns) -> Float[Array, " pair"]:
         """y-parallax y' - y'' of each pair, its photographs turned into the normal case along their base."""
-        directions, centres = measured_directions(unknowns, observations)
+        directions, centres = measured_directions(unknowns, self.rays)
         u, w = directions[:, self.first_ray], directions[:, self.second_ray]
         base = centres[:, self.second_ray] - centres[:, self.first_ray]
         base = base / jnp.sqrt(jnp.sum(base**2, 0))
@@ -94,6 +109,14 @@ class UnknownRule(AbstractStoppingRule):
     interior: Bool[Array, "element camera"]
     points: Bool[Array, "3 point"]
     name = "unknown"
+
+    def arranged(self, order: Order) -> "UnknownRule":
+        masks = (
+            jnp.zeros((6, order.images), bool).at[:, order.image].set(self.exterior),
+            jnp.zeros((self.interior.shape[0], order.cameras), bool).at[:, order.camera].set(self.interior),
+            jnp.zeros((3, order.points), bool).at[:, order.point].set(self.points),
+        )
+        return UnknownRule(self.limit, *masks)
 
     def measure(self, step: StepTaken) -> Float[Array, ""]:
         system = step.observations.system
@@ -134,7 +157,8 @@ def parallax_rule(block: Block, delta: float) -> ParallaxRule:
     structure = block.structure
     order = np.lexsort((structure.ray_image, structure.ray_point))
     same = structure.ray_point[order][1:] == structure.ray_point[order][:-1]
-    return ParallaxRule(delta, jnp.asarray(order[:-1][same]), jnp.asarray(order[1:][same]))
+    first, second = jnp.asarray(order[:-1][same]), jnp.asarray(order[1:][same])
+    return ParallaxRule(delta, first, second, observations_of(block))
 
 
 def unknown_rule(block: Block, delta: float, *names: tuple[str, str]) -> UnknownRule:

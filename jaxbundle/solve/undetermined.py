@@ -1,17 +1,15 @@
 """Which unknowns the observations leave undetermined, in the user's names, with what would determine them."""
 
-import equinox as eqx
-import jax.numpy as jnp
 import numpy as np
-from jaxtyping import Array, Float
+from jaxtyping import Float, Int
 
-from jaxbundle.block.block import Block
-from jaxbundle.block.unknowns import Unknowns
-from jaxbundle.normals import schur
+from jaxbundle.block.block import Structure
+from jaxbundle.normals.arrange import Arrangement
 from jaxbundle.normals.cofactors import Cofactors
-from jaxbundle.solve.levenberg_marquardt import Arguments
+from jaxbundle.normals.reduced_system import ReducedSystem
 
 WEAKEST_SHARE = 1e-11  # of its own normal equation: below, rounding decides about the unknown
+MOST_NAMED = 3000  # kept unknowns; beyond, only where the factorisation failed is told
 CURES = {
     "image": "measure more and better spread points on the image, or add control",
     "camera": "hold the element, give control in relief, or add convergent and turned images",
@@ -19,50 +17,63 @@ CURES = {
 }
 
 
-def undetermined_unknowns(block: Block, unknowns: Unknowns, args: Arguments, cofactors: Cofactors) -> tuple[str, ...]:
+def undetermined_unknowns(structure: Structure, arrangement: Arrangement, cofactors: Cofactors) -> tuple[str, ...]:
     """One sentence for each direction in which the unknowns can move without any observation noticing."""
-    shares = np.asarray(cofactors.point_pivots)
-    loose = [block.structure.point_names[p] for p in np.nonzero(~(shares > WEAKEST_SHARE))[0]]
-    sentences = [f"point {name}; {CURES['point']}" for name in loose]
-    if np.all(np.asarray(cofactors.kept_pivots) > WEAKEST_SHARE):
+    a = arrangement
+    shares = np.ones(a.order.points)
+    shares[: a.places] = np.asarray(cofactors.point_pivots).ravel()
+    loose = np.nonzero(~(shares[a.order.point] > WEAKEST_SHARE))[0]
+    sentences = [f"point {structure.point_names[p]}; {CURES['point']}" for p in loose]
+    pivots = np.concatenate([np.asarray(cofactors.image_pivots).ravel(), np.asarray(cofactors.border_pivots)])
+    if np.all(pivots > WEAKEST_SHARE):
         return tuple(sentences)
-    matrix = np.asarray(_scaled_reduced(unknowns, args))
+    names = kept_names(structure, a)
+    if len(pivots) > MOST_NAMED:
+        failed = [names[k] for k in np.nonzero(~(pivots > WEAKEST_SHARE))[0][:1] if k in names]
+        return (*sentences, *(f"{name} or one that is tied to it; {CURES[kind]}" for kind, name in failed))
+    matrix = _scaled_matrix(cofactors.system, np.asarray(a.reduced.pair))
     if not np.isfinite(matrix).all():
         return tuple(sentences)
     values, vectors = np.linalg.eigh(matrix)
-    names = _kept_names(block, args)
     for vector in vectors.T[values <= WEAKEST_SHARE]:
-        large = np.argsort(-np.abs(vector), kind="stable")[:6]
+        large = [k for k in np.argsort(-np.abs(vector), kind="stable")[:6] if k in names]
         large = [k for k in large if abs(vector[k]) > 0.3 * np.abs(vector).max()]
         moved = ", ".join(names[k][1] for k in large)
-        sentences.append(f"{moved} (together); {CURES[names[large[0]][0]]}")
+        sentences.append(f"{moved}{' (together)' if len(large) > 1 else ''}; {CURES[names[large[0]][0]]}")
     return tuple(sentences)
 
 
-@eqx.filter_jit
-def _scaled_reduced(unknowns: Unknowns, args: Arguments) -> Float[Array, "kept kept"]:
-    """The undamped reduced matrix scaled to the unit diagonal of N; held unknowns have a unit row."""
-    observations, plan, _ = args
-    e = schur.eliminate(schur.tables(unknowns, observations), plan, jnp.asarray(0.0))
-    free = schur.free_columns(observations, plan) & (e.diagonal > 0)
-    scale = jnp.where(free, 1 / jnp.sqrt(jnp.where(free, e.diagonal, 1.0)), 0.0)
-    held = ~schur.free_columns(observations, plan)
-    return scale[:, None] * e.reduced * scale[None, :] + jnp.diag(jnp.where(held, 1.0, 0.0))
+def _scaled_matrix(system: ReducedSystem, pair: Int[np.ndarray, "pair 2"]) -> Float[np.ndarray, "kept kept"]:
+    """The reduced matrix in one piece, scaled to the unit diagonal of N; held unknowns have a unit row."""
+    images, d = system.diagonal.shape
+    used = pair[:, 0] < images
+    lower = np.zeros((images, d, images, d))
+    i, j = pair[used].T
+    lower[i, :, j] = np.asarray(system.pool)[used]
+    lower[j, :, i] = np.asarray(system.pool)[used].transpose(0, 2, 1)
+    coupling = np.asarray(system.coupling).reshape(images * d, -1)
+    matrix = np.block([[lower.reshape(images * d, -1), coupling], [coupling.T, np.asarray(system.border)]])
+    free = np.concatenate([np.asarray(system.free).ravel(), np.asarray(system.border_free)])
+    diagonal = np.concatenate([np.asarray(system.diagonal).ravel(), np.asarray(system.border_diagonal)])
+    scale = np.where(free & (diagonal > 0), 1 / np.sqrt(np.where(diagonal > 0, diagonal, 1.0)), 0.0)
+    return scale[:, None] * matrix * scale + np.diag(np.where(free, 0.0, 1.0))
 
 
-def _kept_names(block: Block, args: Arguments) -> list[tuple[str, str]]:
-    """Kind and name of every kept unknown, in the order of the columns."""
-    structure = block.structure
-    images = [
-        ("image", f"{element} of image {name}")
-        for name in structure.image_names
-        for element in structure.exterior_elements
-    ]
-    cameras = [
-        ("camera", f"{camera.model.elements[k] if k < len(camera.model.elements) else k} of camera {camera.name}")
-        for camera in structure.cameras
-        for k in structure.interior_columns
-    ]
-    kept = np.asarray(args.plan.kept_point)
-    points = [("point", f"{c} of point {structure.point_names[p]}") for p in kept for c in "XYZ"]
-    return images + cameras + points
+def kept_names(structure: Structure, a: Arrangement) -> dict[int, tuple[str, str]]:
+    """Kind and name of every kept unknown by its row in the order of elimination."""
+    names = {}
+    d, q = a.shape.image, len(structure.interior_columns)
+    border = d * a.order.images
+    for name, row in zip(structure.image_names, a.order.image, strict=True):
+        for k, element in enumerate(structure.exterior_elements):
+            names[d * int(row) + k] = ("image", f"{element} of image {name}")
+    for camera, row in zip(structure.cameras, a.order.camera, strict=True):
+        for j, k in enumerate(structure.interior_columns):
+            element = camera.model.elements[k] if k < len(camera.model.elements) else f"element {k}"
+            at = d * int(row) + 6 + j if d > 6 else border + q * int(row) + j
+            names[at] = ("camera", f"{element} of camera {camera.name}")
+    for k, p in enumerate(a.kept):
+        for c, letter in enumerate("XYZ"):
+            row = border + a.shape.shared * a.shape.cameras + 3 * k + c
+            names[row] = ("point", f"{letter} of point {structure.point_names[p]}")
+    return names

@@ -1,0 +1,96 @@
+"""The adjustment without elimination: one dense design matrix by forward-mode autodiff, solved by QR.
+
+Everything stands in one vector of the free corrections: exterior, then interior by column, then object points.
+"""
+
+from typing import NamedTuple
+
+import equinox as eqx
+import jax
+import jax.numpy as jnp
+import numpy as np
+from jaxtyping import Array, Float
+
+from jaxbundle.block.block import Block
+from jaxbundle.block.residuals import Observations, observations_of, weighted_residuals
+from jaxbundle.block.unknowns import Correction, Unknowns, corrected, unknowns_of
+from jaxbundle.geometry import rotation
+
+
+class System(NamedTuple):
+    """Design matrix A and residuals v, both weighted."""
+
+    design: Float[np.ndarray, "observation free"]
+    residuals: Float[np.ndarray, " observation"]
+
+    @property
+    def lengths(self) -> Float[np.ndarray, " free"]:
+        """Square roots of diag N."""
+        return np.linalg.norm(self.design, axis=0)
+
+
+def centred(block: Block) -> tuple[Unknowns, Observations]:
+    """Unknowns and observations of a block moved to the centre of its images."""
+    block = block.moved(-jnp.mean(block.exterior.projection_centre, 0))
+    return unknowns_of(block), observations_of(block)
+
+
+def masks(o: Observations) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
+    """What is free: exterior, interior by column, object points."""
+    return np.asarray(o.exterior_free), np.asarray(o.interior_free), np.asarray(o.point_free)
+
+
+def moved(unknowns: Unknowns, o: Observations, d: Float[Array, " free"]) -> Unknowns:
+    """The unknowns after a correction of the free elements."""
+    fields, first = [], 0
+    for mask in masks(o):
+        fields.append(jnp.zeros(mask.shape).at[mask].set(d[first : first + mask.sum()]))
+        first += int(mask.sum())
+    exterior, by_column, points = fields
+    interior = jnp.zeros_like(unknowns.interior).at[np.array(o.columns, int)].set(by_column)
+    return corrected(unknowns, Correction(exterior, interior, points), o.in_angles, o.system)
+
+
+def difference(unknowns: Unknowns, again: Unknowns, o: Observations) -> Float[np.ndarray, " free"]:
+    """The correction that leads from `unknowns` to `again`."""
+    turn = rotation.product(rotation.transpose(tuple(unknowns.rotation)), tuple(again.rotation))
+    small = jnp.stack(rotation.to_alpha_omega_kappa(turn))
+    old, new = (jnp.stack(o.system.angles_from_rotation(tuple(u.rotation))) for u in (unknowns, again))
+    angles = jnp.where(o.in_angles, jnp.arctan2(jnp.sin(new - old), jnp.cos(new - old)), small)
+    exterior = jnp.concatenate([again.centre - unknowns.centre, angles])
+    interior = (again.interior - unknowns.interior)[np.array(o.columns, int)]
+    fields = exterior, interior, again.points - unknowns.points
+    return np.concatenate([np.asarray(field)[mask] for field, mask in zip(fields, masks(o), strict=True)])
+
+
+def free_count(o: Observations) -> int:
+    """N: number of unknown elements."""
+    return sum(int(mask.sum()) for mask in masks(o))
+
+
+def residual_vector(unknowns: Unknowns, o: Observations, d: Float[Array, " free"]) -> Float[Array, " observation"]:
+    """Weighted residuals of all observations after a correction."""
+    return jnp.concatenate([v.ravel() for v in weighted_residuals(moved(unknowns, o, d), o)])
+
+
+def dense_system(unknowns: Unknowns, o: Observations) -> System:
+    """Design matrix and residuals at the unknowns."""
+    zero = jnp.zeros(free_count(o))
+    at = jax.jit(lambda d: residual_vector(unknowns, o, d))
+    return System(np.asarray(jax.jit(jax.jacfwd(at))(zero)), np.asarray(at(zero)))
+
+
+def dense_step(system: System, damping: float) -> Float[np.ndarray, " free"]:
+    """d of (N + lambda diag N) d = -A^T v, from the QR decomposition of A above sqrt(lambda diag N)."""
+    lengths = system.lengths
+    upper = np.concatenate([system.design / lengths, np.sqrt(damping) * np.eye(len(lengths))])
+    q, r = np.linalg.qr(upper)
+    return -np.linalg.solve(r, q[: len(system.residuals)].T @ system.residuals) / lengths
+
+
+def dense_cofactors(unknowns: Unknowns, o: Observations) -> Float[np.ndarray, "free free"]:
+    """N^-1, the attitudes in the user's angles."""
+    in_angles = jnp.ones_like(o.in_angles)
+    system = dense_system(unknowns, eqx.tree_at(lambda o: o.in_angles, o, in_angles))
+    inverse = np.linalg.inv(np.linalg.qr(system.design / system.lengths, mode="r")) / system.lengths[:, None]
+    return inverse @ inverse.T

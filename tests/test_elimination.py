@@ -1,0 +1,136 @@
+"""Elimination changes nothing: steps and standard deviations are those of the dense equations."""
+
+import dataclasses
+
+import equinox as eqx
+import jax
+import jax.numpy as jnp
+import numpy as np
+import pytest
+from dense import centred, dense_cofactors, dense_step, dense_system, difference, free_count, masks
+from simulated import small_block
+
+from jaxbundle.block.block import Block
+from jaxbundle.block.observations import DISTANCES, observation_group
+from jaxbundle.block.unknowns import Unknowns
+from jaxbundle.camera.model import BAL, BROWN, DISTORTION_FREE
+from jaxbundle.normals.plan import plan
+from jaxbundle.solve.adjust import adjust
+from jaxbundle.solve.levenberg_marquardt import trial_step
+
+DAMPINGS = (1e-12, 1e-8, 1e-4, 1e-2, 1.0, 1e3, 1e6)
+
+
+def block_steps(block: Block, dampings: tuple[float, ...]) -> list[Unknowns]:
+    """The unknowns after a trial step of the solver at each damping; the only place that knows how one is made."""
+    unknowns, observations = centred(block)
+    p = plan(block.structure, block.groups)
+    step = eqx.filter_jit(lambda damping: trial_step(unknowns, observations, p, damping).unknowns)
+    return [step(jnp.asarray(damping)) for damping in dampings]
+
+
+def changed(block: Block, **changes: object) -> Block:
+    """The block with another structure."""
+    return dataclasses.replace(block, structure=dataclasses.replace(block.structure, **changes))
+
+
+def with_distances(block: Block) -> Block:
+    """Distances between tie points, and from a control point to a tie point: those points are not eliminated."""
+    structure = block.structure
+    tie = np.flatnonzero(structure.point_free.all(1) & (np.bincount(structure.ray_point) > 2))
+    pairs = np.array([[tie[0], tie[5]], [0, tie[2]], [tie[5], tie[9]]])
+    lengths = np.linalg.norm(np.diff(np.asarray(block.object_points)[pairs], axis=1)[:, 0], axis=1)
+    group = observation_group(DISTANCES, pairs, lengths[:, None] + 0.5, np.full((3, 1), 0.02))
+    return dataclasses.replace(block, groups=(*block.groups, group))
+
+
+def with_private_cameras(block: Block) -> Block:
+    """Every image has a camera of its own, of which every second one is self-calibrated."""
+    images = len(block.structure.image_names)
+    (camera,) = block.structure.cameras
+    cameras = tuple(dataclasses.replace(camera, name=f"camera {k}") for k in range(images))
+    free = np.repeat(block.structure.interior_free, images, 0)
+    free[::2] = False
+    block = changed(block, cameras=cameras, image_camera=np.arange(images, dtype=np.int32), interior_free=free)
+    elements = jnp.repeat(block.interior.elements, images, 0)
+    return eqx.tree_at(lambda b: b.interior.elements, block, elements)
+
+
+def with_two_models(block: Block) -> Block:
+    """The second strip is taken with a camera without distortion, of which the principal distance is estimated."""
+    (camera,) = block.structure.cameras
+    second = dataclasses.replace(camera, name="second", model=DISTORTION_FREE)
+    strip = np.array([name.startswith("2") for name in block.structure.image_names])
+    free = np.zeros((2, len(BROWN.elements)), bool)
+    free[0], free[1, 0] = block.structure.interior_free[0], True
+    block = changed(block, cameras=(camera, second), image_camera=strip.astype(np.int32), interior_free=free)
+    by_name = dict(zip(BROWN.elements, block.interior.elements[0], strict=True))
+    own = [by_name[name] for name in DISTORTION_FREE.elements]
+    padded = jnp.array([*own, *[1.0] * (len(BROWN.elements) - len(own))])
+    return eqx.tree_at(lambda b: b.interior.elements, block, jnp.stack([block.interior.elements[0], padded]))
+
+
+def with_held_angles(block: Block) -> Block:
+    """One image keeps an angle, another one two, a third one its whole orientation."""
+    free = block.structure.exterior_free.copy()
+    free[1, 4] = free[2, 3] = free[2, 5] = False
+    free[6] = False
+    return changed(block, exterior_free=free)
+
+
+def with_forward_model(block: Block) -> Block:
+    """A camera of the computer-vision sort: the projection is distorted."""
+    (camera,) = block.structure.cameras
+    c, x0, y0, *_ = np.asarray(block.interior.elements)[0]
+    block = changed(block, cameras=(dataclasses.replace(camera, model=BAL),), interior_free=np.ones((1, 3), bool))
+    measured = (block.rays.coordinates - jnp.array([x0, y0])) * jnp.array([1.0, -1.0])
+    return eqx.tree_at(
+        lambda b: (b.interior.elements, b.rays.coordinates), block, (jnp.array([[c / 0.006, -0.01, 0.0]]), measured)
+    )
+
+
+BLOCKS = {
+    "shared camera, control, stations": lambda block: block,
+    "distances": with_distances,
+    "private cameras": with_private_cameras,
+    "two models": with_two_models,
+    "held angles": with_held_angles,
+    "forward model": with_forward_model,
+}
+
+
+@pytest.fixture(scope="module", params=BLOCKS)
+def block(request) -> Block:
+    return BLOCKS[request.param](small_block().block)
+
+
+def test_steps(block):
+    """From approximate values far off, at dampings from none to a gradient step."""
+    unknowns, observations = centred(block)
+    system = dense_system(unknowns, observations)
+    size = np.concatenate([np.broadcast_to(10.0, mask.sum()) for mask in masks(observations)])
+    assert len(size) == block.structure.unknowns == free_count(observations)
+    for damping, stepped in zip(DAMPINGS, block_steps(block, DAMPINGS), strict=True):
+        expected = dense_step(system, damping)
+        off = difference(unknowns, stepped, observations) - expected
+        # values of some kilometres carry a rounding of 1e-13, which a step of a thousandth of a millimetre feels
+        rounding = np.linalg.norm(system.lengths * 1e-12)
+        assert np.linalg.norm(system.lengths * off) < 1e-10 * np.linalg.norm(system.lengths * expected) + rounding, (
+            damping
+        )
+
+
+def test_standard_deviations(block):
+    """At the minimum, the attitudes in the user's angles."""
+    adjustment = adjust(block)
+    unknowns, observations = centred(adjustment.block)
+    q = dense_cofactors(unknowns, observations)
+    expected = float(adjustment.sigma0) * np.sqrt(np.diagonal(q))
+    sd = adjustment.standard_deviations
+    exterior = np.concatenate([sd.projection_centre.T, sd.angles.T])
+    interior = np.asarray(sd.interior).T[np.array(observations.columns, int)]
+    fields = exterior, interior, np.asarray(sd.object_points).T
+    found = np.concatenate([field[mask] for field, mask in zip(fields, masks(observations), strict=True)])
+    np.testing.assert_allclose(found, expected, rtol=1e-9)
+    for field, mask in zip(fields, masks(observations), strict=True):
+        assert not np.asarray(field)[~mask].any()  # what is held has none

@@ -1,0 +1,40 @@
+"""The examples run as they stand, and what they print is right."""
+
+import os
+import re
+import subprocess
+import sys
+from pathlib import Path
+
+import pytest
+
+ROOT = Path(__file__).parents[1]
+EXAMPLES = sorted((ROOT / "examples").glob("*.py"))
+
+
+def printed(example: Path) -> str:
+    environment = os.environ | {"JAX_PLATFORMS": "cpu", "PYTHONPATH": str(ROOT)}
+    done = subprocess.run([sys.executable, example], env=environment, capture_output=True, text=True)
+    assert done.returncode == 0, done.stderr
+    assert done.stderr == ""
+    return done.stdout
+
+
+@pytest.mark.parametrize("example", EXAMPLES, ids=lambda path: path.stem)
+def test_is_short(example):
+    assert len(example.read_text().splitlines()) < 80
+
+
+def test_first_block():
+    out = printed(ROOT / "examples" / "01_first_block.py")
+    assert "converged" in out
+    share = re.search(r"(\d+)% of the object coordinates are within 2 standard deviations", out)
+    assert share and int(share[1]) >= 90
+
+
+def test_plain_bundle():
+    out = printed(ROOT / "examples" / "02_plain_bundle.py")
+    sigma0 = re.search(r"redundancy 201, sigma0 ([\d.]+)", out)
+    assert sigma0 and float(sigma0[1]) == pytest.approx(1, abs=0.15)
+    rms = re.search(r"rms ([\d.]+), largest", out)
+    assert rms and float(rms[1]) == pytest.approx(1, abs=0.4)

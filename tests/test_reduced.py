@@ -1,0 +1,179 @@
+"""The reduced normal equations against dense linear algebra."""
+
+import subprocess
+import sys
+
+import jax
+import jax.numpy as jnp
+import numpy as np
+import pytest
+
+from jaxbundle.normals import reduced_system as reduced
+from jaxbundle.normals.ordering import elimination_order, image_graph, ranked_pairs
+from jaxbundle.normals.reduced_plan import ReducedPlan, reduced_plan
+
+IMAGES = 45
+GRAPHS = ("strip", "ring", "star", "islands", "random")
+CASES = [(graph, 6, 5, "panels") for graph in GRAPHS] + [
+    ("strip", 9, 0, "panels"),
+    ("islands", 9, 5, "panels"),
+    ("random", 9, 0, "dense"),
+    ("strip", 6, 5, "dense"),
+]
+
+
+def graph_of(kind: str, rng: np.random.Generator) -> np.ndarray:
+    i, j = (x.ravel() for x in np.mgrid[:IMAGES, :IMAGES])
+    near = {
+        "strip": i - j < 6,
+        "ring": ((i - j) % IMAGES < 3) | ((j - i) % IMAGES < 3),
+        "star": j == 0,
+        "islands": (i - j < 4) & (i // 15 == j // 15),
+        "random": rng.random(i.shape) < 0.08,
+    }[kind]
+    pairs = np.stack([i, j], 1)[(near & (i > j)) | (i == j)]
+    return rng.permutation(IMAGES)[pairs]
+
+
+def problem(plan: ReducedPlan, d: int, border: int, rng: np.random.Generator):
+    """A random system that is positive on its free unknowns, and its dense matrix, diagonal, right side and free."""
+    size = plan.images * d
+    pool = rng.normal(size=(plan.pool, d, d))
+    dense = np.zeros((size + border, size + border))
+    for k, (i, j) in enumerate(plan.pairs):
+        rows, columns = slice(i * d, i * d + d), slice(j * d, j * d + d)
+        if i == j:
+            pool[k] += pool[k].T + 40 * np.eye(d)
+        dense[rows, columns] = pool[k]
+        dense[columns, rows] = pool[k].T
+    coupling = rng.normal(size=(plan.images, d, border))
+    corner = rng.normal(size=(border, border))
+    corner = corner + corner.T + 500 * np.eye(border)
+    dense[:size, size:] = coupling.reshape(size, border)
+    dense[size:, :size] = coupling.reshape(size, border).T
+    dense[size:, size:] = corner
+    diagonal = np.concatenate([rng.uniform(40, 90, size), rng.uniform(300, 900, border)])
+    right = rng.normal(size=size + border)
+    free = rng.random(size + border) < 0.9
+    free[IMAGES * d : size] = False
+    by_image = lambda x: jnp.asarray(x[:size].reshape(plan.images, d))  # noqa: E731
+    system = reduced.ReducedSystem(
+        jnp.asarray(pool),
+        by_image(diagonal),
+        by_image(right),
+        by_image(free),
+        jnp.asarray(coupling),
+        jnp.asarray(corner),
+        *(jnp.asarray(x[size:]) for x in (diagonal, right, free)),
+    )
+    return system, dense, diagonal, right, free
+
+
+def check(graph: str, d: int, border: int, method, devices: int, q: int = 4) -> None:
+    """Step, second solution, cofactors and pivots against dense algebra."""
+    rng = np.random.default_rng(3)
+    plan = reduced_plan(graph_of(graph, rng), IMAGES, d, devices, method, q, axis="device")
+    system, dense, diagonal, right, free = problem(plan, d, border, rng)
+    damping, size = 0.03, plan.images * d
+    damped = (dense + damping * np.diag(diagonal))[np.ix_(free, free)]
+    x, inverse = np.zeros(len(dense)), np.zeros_like(dense)
+    x[free] = np.linalg.solve(damped, right[free])
+    inverse[np.ix_(free, free)] = np.linalg.inv(damped)
+
+    def run(solver, system):
+        factor = reduced.factorise(solver, system, jnp.asarray(damping))
+        again = reduced.solve(solver, factor, system.right[..., None], system.border_right[:, None])
+        pivots = factor.pivots, factor.border_pivots
+        return reduced.step(solver, factor), again, reduced.cofactors(solver, factor), pivots
+
+    if devices > 1:
+        mesh = jax.make_mesh((devices,), ("device",), axis_types=(jax.sharding.AxisType.Auto,))
+        everywhere = jax.sharding.PartitionSpec()
+        run = jax.shard_map(run, mesh=mesh, in_specs=everywhere, out_specs=everywhere, check_vma=False)
+    once, again, cofactors, pivots = jax.jit(run)(plan.solver, system)
+
+    for images, rest in (once, again):
+        np.testing.assert_allclose(np.concatenate([images.ravel(), rest.ravel()]), x, atol=1e-11 * abs(x).max())
+    allowed = 1e-10 * abs(inverse).max()
+    images = inverse[:size, :size].reshape(plan.images, d, plan.images, d)
+    expected = np.zeros((plan.pool, d, d))
+    expected[: len(plan.pairs)] = images[plan.pairs[:, 0], :, plan.pairs[:, 1]]
+    np.testing.assert_allclose(cofactors.pool, expected, atol=allowed)
+    np.testing.assert_allclose(np.reshape(cofactors.coupling, (size, border)), inverse[:size, size:], atol=allowed)
+    np.testing.assert_allclose(cofactors.border, inverse[size:, size:], atol=allowed)
+    share = np.concatenate([pivots[0].ravel(), pivots[1]])
+    assert np.all(share[~free] == 1)
+    scaled = damped / np.sqrt(np.outer(diagonal[free], diagonal[free]))
+    assert np.log(share[free]).sum() == pytest.approx(np.linalg.slogdet(scaled)[1], rel=1e-10)
+
+
+@pytest.mark.parametrize(("graph", "d", "border", "method"), CASES)
+def test_step_and_cofactors_are_those_of_the_dense_matrix(graph, d, border, method):
+    check(graph, d, border, method, devices=1)
+
+
+def test_two_devices_agree_with_the_dense_matrix():
+    code = "import jax; jax.config.update('jax_num_cpu_devices', 2); jax.config.update('jax_enable_x64', True)\n"
+    code += "from tests.test_reduced import CASES, check\n"
+    code += "[check(*case, devices=2) for case in CASES]"
+    answer = subprocess.run([sys.executable, "-c", code], capture_output=True, text=True)
+    assert answer.returncode == 0, answer.stderr
+
+
+@pytest.mark.parametrize("method", ["dense", "panels"])
+def test_an_undetermined_unknown_has_no_pivot(method):
+    rng = np.random.default_rng(5)
+    plan = reduced_plan(graph_of("strip", rng), IMAGES, 6, 1, method, 4)
+    system, *_ = problem(plan, 6, 0, rng)
+    system = reduced.ReducedSystem(**{**vars(system), "free": jnp.arange(plan.images)[:, None] < jnp.full(6, IMAGES)})
+    block = int(np.nonzero((plan.pairs[:, 0] == 20) & (plan.pairs[:, 1] == 20))[0][0])
+    touches = jnp.asarray(np.nonzero((plan.pairs[:, 0] == 20) ^ (plan.pairs[:, 1] == 20))[0])
+    imitated = system.pool[block].at[3].set(system.pool[block, 2]).at[:, 3].set(system.pool[block, :, 2])
+    imitated = imitated.at[3, 3].set(imitated[2, 2])
+    pool = system.pool.at[block].set(imitated).at[touches].set(0.0)
+    system = reduced.ReducedSystem(**{**vars(system), "pool": pool})
+    factorise = jax.jit(reduced.factorise)
+    pivots = np.asarray(factorise(plan.solver, system, jnp.asarray(0.0)).pivots)
+    assert not pivots[20, 3] > 1e-12
+    assert np.all(pivots[:20] > 0.01)
+    assert np.nanmin(np.asarray(factorise(plan.solver, system, jnp.asarray(1e-3)).pivots)) > 1e-4
+
+
+@pytest.mark.parametrize("method", ["dense", "panels"])
+def test_blocks_of_similar_size_share_a_program(method):
+    factorise = jax.jit(lambda *arguments: reduced.factorise(*arguments))
+    rng = np.random.default_rng(7)
+    for images in (IMAGES, IMAGES - 1):
+        pairs = graph_of("strip", np.random.default_rng(7))
+        plan = reduced_plan(pairs[(pairs < images).all(1)], images, 6, 1, method, 4)
+        factorise(plan.solver, problem(plan, 6, 5, rng)[0], jnp.asarray(0.1))
+    assert factorise._cache_size() == 1
+
+
+def test_what_lies_in_the_waste_bin_does_not_matter():
+    rng = np.random.default_rng(9)
+    plan = reduced_plan(graph_of("ring", rng), IMAGES, 6, 1, "panels", 4)
+    system, *_ = problem(plan, 6, 0, rng)
+    spoilt = reduced.ReducedSystem(**{**vars(system), "pool": system.pool.at[-1].set(jnp.nan)})
+    run = jax.jit(lambda s: reduced.step(plan.solver, reduced.factorise(plan.solver, s, jnp.asarray(0.1)))[0])
+    np.testing.assert_array_equal(run(system), run(spoilt))
+
+
+def test_the_image_graph_is_exactly_the_pairs_that_share_a_point():
+    rng = np.random.default_rng(11)
+    seen = rng.random((200, 30)) < 0.07
+    point, image = np.nonzero(np.repeat(seen, 3, axis=0))
+    mixed = rng.permutation(len(point))
+    pairs = image_graph(image[mixed], point[mixed], 30, 600, extra=np.array([[2, 29]]))
+    shared = (seen.T.astype(int) @ seen > 0) | np.eye(30, dtype=bool)
+    shared[29, 2] = True
+    np.testing.assert_array_equal(pairs, np.argwhere(np.tril(shared)))
+
+
+def test_no_image_of_one_end_shares_a_point_with_the_other():
+    pairs = graph_of("strip", np.random.default_rng(13))
+    order = elimination_order(pairs, IMAGES, 4, 2)
+    left, right, separator = order.sizes
+    assert min(left, right, separator) > 0
+    i, j = ranked_pairs(pairs, order.rank).T
+    assert not np.any((j < left) & (i >= left) & (i < left + right))

@@ -1,0 +1,304 @@
+"""The report against the adjustment it tells of, and every sentence of its findings provoked once."""
+
+import dataclasses
+import json
+import math
+
+import equinox as eqx
+import jax.numpy as jnp
+import numpy as np
+import polars as pl
+import pytest
+from simulated import small_block
+
+from jaxbundle.report import files, findings, report_dict, report_text, write_report
+from jaxbundle.report.columns import WIDTH, aligned, decimals, short, table
+from jaxbundle.report.findings import Finding, global_test
+from jaxbundle.solve.adjust import adjust
+from jaxbundle.solve.adjustment import Status
+
+
+@pytest.fixture(scope="module")
+def adjustment():
+    return adjust(small_block().block)
+
+
+@pytest.fixture(scope="module")
+def report(adjustment):
+    return report_dict(adjustment)
+
+
+def with_structure(adjustment, **changes):
+    structure = dataclasses.replace(adjustment.block.structure, **changes)
+    return dataclasses.replace(adjustment, block=dataclasses.replace(adjustment.block, structure=structure))
+
+
+def with_normalised(adjustment, rays):
+    return dataclasses.replace(adjustment, weighted_residuals=(jnp.asarray(rays), *adjustment.weighted_residuals[1:]))
+
+
+def words(adjustment, kind):
+    return [finding.words for finding in findings(adjustment) if finding.kind == kind]
+
+
+# The dictionary
+
+
+def test_counts_and_sigma0(adjustment, report):
+    assert report["observations"] - report["unknowns"] == report["redundancy"] == adjustment.redundancy
+    assert report["sigma0"] == float(adjustment.sigma0)
+    assert report["vtPv"] == pytest.approx(report["sigma0"] ** 2 * report["redundancy"], rel=1e-12)
+    assert (report["status"], report["trustworthy"], report["stopping_rule"]) == ("converged", True, "angle")
+    assert report["iterations"] == int(adjustment.iterations.trials)
+    assert report["datum"] == "control points and observed stations"
+
+
+def test_images_in_the_unit_of_the_block(adjustment):
+    sd = adjustment.standard_deviations
+    for unit, factor in (("deg", 180 / math.pi), ("gon", 200 / math.pi), ("rad", 1.0)):
+        image = report_dict(with_structure(adjustment, angle_unit=unit))["images"]["2_03"]
+        assert list(image) == ["X0", "Y0", "Z0", "omega", "phi", "kappa"]
+        assert image["Y0"] == [adjustment.block.exterior.projection_centre[6, 1], sd.projection_centre[6, 1]]
+        assert image["kappa"] == pytest.approx(
+            [float(angle[6, 2]) * factor for angle in (adjustment.block.exterior.angles, sd.angles)], rel=1e-14
+        )
+
+
+def test_points_hold_the_unknown_ones_and_0_for_what_is_held(adjustment, report):
+    structure = adjustment.block.structure
+    assert len(report["points"]) == structure.point_free.any(1).sum()
+    control, tie = report["points"]["1"], report["points"]["20"]
+    assert control["Z"][1] == 0.0 and control["X"][1] > 0
+    assert tie["Z"] == [adjustment.block.object_points[19, 2], adjustment.standard_deviations.object_points[19, 2]]
+    free = structure.point_free.copy()
+    free[19] = False
+    assert "20" not in report_dict(with_structure(adjustment, point_free=free))["points"]
+
+
+def test_cameras_hold_the_estimated_elements(adjustment, report):
+    camera = report["cameras"]["camera"]
+    assert list(camera) == ["principal_distance", "x0", "y0", "K1", "K2"]
+    assert camera["K1"] == [adjustment.block.interior.elements[0, 3], adjustment.standard_deviations.interior[0, 3]]
+    held = np.zeros_like(adjustment.block.structure.interior_free)
+    assert report_dict(with_structure(adjustment, interior_free=held))["cameras"] == {}
+
+
+def test_check_points(adjustment, report):
+    point = adjustment.block.structure.check_point[1]
+    entry = report["check_points"][adjustment.block.structure.point_names[point]]
+    assert list(entry) == ["X", "Y", "Z", "dX", "dY", "dZ"]
+    assert entry["X"][0] - entry["dX"] == pytest.approx(
+        float(adjustment.block.check_points.coordinates[1, 0]), abs=1e-9
+    )
+    assert abs(entry["dZ"]) < 5 * entry["Z"][1]
+
+
+def test_correlations_of_the_estimated_elements(adjustment, report):
+    pairs = report["correlations"]["camera"]
+    assert len(pairs) == 10
+    assert pairs["K1,K2"] == adjustment.interior_correlations[0, 3, 4]
+
+
+def test_what_is_not_finite_is_null(adjustment):
+    without = report_dict(dataclasses.replace(adjustment, cofactors=None))
+    assert without["points"]["20"]["X"][1] is None and without["points"]["1"]["Z"][1] == 0.0
+    assert without["correlations"] == {}
+    unknown = eqx.tree_at(
+        lambda a: a.block.check_points.coordinates,
+        adjustment,
+        adjustment.block.check_points.coordinates.at[0, 2].set(jnp.nan),
+    )
+    entry = next(iter(report_dict(unknown)["check_points"].values()))
+    assert entry["dZ"] is None and entry["dX"] is not None
+
+
+def test_is_ready_for_json(report):
+    assert json.loads(files._json(report)) == json.loads(json.dumps(report, allow_nan=False))
+
+
+# Findings
+
+
+def test_nothing_to_find(adjustment):
+    assert words(adjustment, "not converged") == words(adjustment, "undetermined") == words(adjustment, "note") == []
+    assert [finding.label for finding in findings(adjustment)] == ["suggestion"] * len(findings(adjustment))
+
+
+@pytest.mark.parametrize("status", [status for status in Status if status is not Status.CONVERGED])
+def test_finds_that_it_did_not_converge(adjustment, status):
+    ended = dataclasses.replace(adjustment, iterations=adjustment.iterations._replace(status=jnp.asarray(int(status))))
+    (sentence,) = words(ended, "not converged")
+    assert sentence.startswith(f"the adjustment {status.words}; ")
+    assert findings(ended)[0].label == "problem"
+    assert not any("sigma0" in suggestion for suggestion in words(ended, "suggestion"))
+
+
+def test_finds_what_is_not_determined(adjustment):
+    loose = dataclasses.replace(adjustment, undetermined=("point 7; measure it once more",))
+    assert words(loose, "undetermined") == ["not determined: point 7; measure it once more"]
+
+
+@pytest.mark.parametrize(("factor", "verdict"), [(1.5, "worse"), (0.5, "better")])
+def test_finds_a_sigma0_that_is_not_1(adjustment, factor, verdict):
+    scaled = dataclasses.replace(
+        adjustment, weighted_residuals=tuple(factor * v for v in adjustment.weighted_residuals)
+    )
+    test = global_test(float(scaled.sigma0), scaled.redundancy)
+    assert not test.passed
+    (sentence,) = [sentence for sentence in words(scaled, "suggestion") if sentence.startswith("sigma0 is")]
+    assert f"promise {test.lower:.4g} to {test.upper:.4g}: the observations are {verdict} than" in sentence
+
+
+def test_global_test_has_the_tabulated_limits():
+    test = global_test(1.0, 10)  # chi-square of 10 degrees of freedom: 3.247 and 20.483
+    assert (10 * test.lower**2, 10 * test.upper**2) == pytest.approx((3.247, 20.483), abs=1e-3)
+
+
+def test_finds_rays_that_are_off(adjustment):
+    v = np.asarray(adjustment.weighted_residuals[0]).copy()
+    v[7, 1] = 9.0
+    structure = adjustment.block.structure
+    off = with_normalised(adjustment, v)
+    (sentence,) = [sentence for sentence in words(off, "suggestion") if "off by more than" in sentence]
+    point, image = structure.point_names[structure.ray_point[7]], structure.image_names[structure.ray_image[7]]
+    assert sentence.startswith("1 ray is off by more than 4 sigma0 sigma: ")
+    assert f"point {point} on image {image} ({9 / float(off.sigma0):.1f})" in sentence
+
+
+def test_finds_control_that_does_not_fit(adjustment):
+    structure = adjustment.block.structure
+    v = np.asarray(adjustment.weighted_residuals[0]).copy()
+    v[~structure.point_free.all(1)[structure.ray_point]] *= 3
+    assert any(
+        "rays of control points fit" in sentence for sentence in words(with_normalised(adjustment, v), "suggestion")
+    )
+
+
+def test_finds_correlated_and_insignificant_elements(adjustment):
+    q = np.asarray(adjustment.cofactors.interior).copy()
+    q[0, 3, 4] = q[0, 4, 3] = -0.99 * np.sqrt(q[0, 3, 3] * q[0, 4, 4])
+    q[0, 4, 4] *= 1.0001
+    cofactors = adjustment.cofactors._replace(interior=jnp.asarray(q))
+    elements = adjustment.block.interior.elements.at[0, 4].set(0.5 * float(np.sqrt(q[0, 4, 4])))
+    changed = eqx.tree_at(lambda a: (a.cofactors, a.block.interior.elements), adjustment, (cofactors, elements))
+    suggestions = words(changed, "suggestion")
+    assert any(
+        s.startswith("K1 and K2 of camera camera are correlated by -0.990: hold one of them") for s in suggestions
+    )
+    assert "K2 of camera camera is not significant (below 2 sd): hold it at 0" in suggestions
+
+
+def test_finds_points_seen_twice_only_when_they_are_many(adjustment):
+    structure = adjustment.block.structure
+    assert not any("two images only" in sentence for sentence in words(adjustment, "suggestion"))
+    first = np.arange(len(structure.ray_point)) % (len(structure.ray_point) // 2)
+    twice = with_structure(adjustment, ray_point=np.minimum(first, len(structure.point_names) - 1).astype(np.int32))
+    assert any("are on two images only" in sentence for sentence in words(twice, "suggestion"))
+
+
+def test_tells_what_was_left_out(adjustment):
+    noted = with_structure(dataclasses.replace(adjustment, cofactors=None), notes=("camera b has no image",))
+    assert words(noted, "note") == ["no standard deviations were computed", "camera b has no image"]
+    assert Finding("note", "").label == "note"
+
+
+# The text
+
+
+def test_text_opens_with_findings_and_fits_the_page(adjustment):
+    text = report_text(adjustment)
+    assert text.isascii() and max(map(len, text.splitlines())) <= WIDTH
+    titles = [a for a, b in zip(text.splitlines(), text.splitlines()[1:], strict=False) if b and set(b) == {"-"}]
+    assert titles[:4] == [
+        "Problems and suggestions",
+        "Adjustment",
+        "Observations",
+        "Images: adjusted value and standard deviation below",
+    ]
+    assert titles[4:] == [
+        "Cameras: estimated elements",
+        "Object points",
+        "Control points: adjusted less observed",
+        "Stations: computed less observed",
+        "Check points: adjusted less known",
+        "Largest residuals of rays",
+        *titles[10:],
+    ]
+    unknown = adjustment.block.structure.point_free.any(1).sum()
+    assert f"the first 50 of {unknown} points; the tables hold all" in text
+    assert f"{float(adjustment.sigma0):.6g} a posteriori" in text
+
+
+def test_text_of_long_names_and_no_precision(adjustment):
+    names = tuple(f"a very long name of an image {k}" for k in range(8))
+    text = report_text(with_structure(dataclasses.replace(adjustment, cofactors=None), image_names=names, name="\xfc"))
+    assert max(map(len, text.splitlines())) <= WIDTH and "a very l...image 7" in text
+    assert text.startswith("Adjustment of block ?")
+
+
+def test_columns():
+    assert aligned([("a", "10"), ("bcd", "2")]) == ["  a    10", "  bcd   2"]
+    assert [decimals(np.array(sd)) for sd in ([0.012, 0.0], [3.4], [np.nan], [1e-15])] == [3, 1, 4, 9]
+    assert short("x" * 18) == "x" * 18 and len(short("x" * 19)) == 18
+    assert table(("a",), [("1",)], 3, "points")[-1] == "  ... the first 1 of 3 points; the tables hold all"
+
+
+# The folder
+
+
+def test_folder_of_results(adjustment, tmp_path):
+    folder = write_report(adjustment, tmp_path / "new" / "results")
+    assert sorted(path.name for path in folder.iterdir()) == sorted(files.result_files(adjustment.block))
+    assert [path.name for path in folder.parent.iterdir()] == ["results"]
+    rays = pl.read_csv(folder / "rays.csv")
+    assert np.allclose(rays.select("vx", "vy").to_numpy(), adjustment.residuals[0])
+    images = pl.read_csv(folder / "images.csv")
+    assert np.allclose(images["sX0"], adjustment.standard_deviations.projection_centre[:, 0])
+    control = pl.read_csv(folder / "control.csv")
+    assert control["vX"].null_count() == 0 and control["vZ"].null_count() == len(control)
+    report = json.loads((folder / "report.json").read_text())
+    assert report.pop("files") == files.result_files(adjustment.block)
+    assert report == json.loads(json.dumps(report_dict(adjustment)))
+
+
+def test_earlier_results_are_replaced_and_other_files_kept(adjustment, tmp_path):
+    write_report(adjustment, tmp_path)
+    (tmp_path / "mine.txt").write_text("mine")
+    (tmp_path / "report.txt").write_text("old")
+    fewer = with_structure(adjustment, check_point=np.zeros(0, np.int32))
+    none = jnp.zeros((0, 3))
+    fewer = eqx.tree_at(lambda a: a.block.check_points, fewer, type(fewer.block.check_points)(none, none))
+    write_report(fewer, tmp_path)
+    assert not (tmp_path / "check_points.csv").exists()
+    assert (tmp_path / "mine.txt").read_text() == "mine"
+    assert (tmp_path / "report.txt").read_text() == report_text(fewer)
+    assert not list(tmp_path.glob(".*"))
+
+
+@pytest.mark.parametrize("name", ["images.csv", "report.txt"])
+def test_files_of_others_are_not_overwritten(adjustment, tmp_path, name):
+    (tmp_path / name).write_text("mine")
+    with pytest.raises(FileExistsError, match=f"holds {name}, which no adjustment wrote"):
+        write_report(adjustment, tmp_path)
+    assert [path.name for path in tmp_path.iterdir()] == [name] and (tmp_path / name).read_text() == "mine"
+
+
+def test_a_file_is_no_folder(adjustment, tmp_path):
+    (tmp_path / "file").write_text("")
+    with pytest.raises(FileExistsError, match="is a file"):
+        write_report(adjustment, tmp_path / "file")
+
+
+def test_never_a_half_written_result(adjustment, tmp_path, monkeypatch):
+    earlier = write_report(adjustment, tmp_path / "earlier")
+    before = {path.name: path.read_bytes() for path in earlier.iterdir()}
+
+    def interrupted(figures):
+        raise KeyboardInterrupt
+
+    monkeypatch.setattr(files, "text_of", interrupted)
+    for folder in (earlier, tmp_path / "new"):
+        with pytest.raises(KeyboardInterrupt):
+            write_report(adjustment, folder)
+    assert [path.name for path in tmp_path.iterdir()] == ["earlier"]
+    assert {path.name: path.read_bytes() for path in earlier.iterdir()} == before
