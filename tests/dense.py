@@ -57,9 +57,22 @@ def difference(unknowns: Unknowns, again: Unknowns, o: Observations) -> Float[np
     small = jnp.stack(rotation.to_alpha_omega_kappa(turn))
     old, new = (jnp.stack(o.system.angles_from_rotation(tuple(u.rotation))) for u in (unknowns, again))
     angles = jnp.where(o.in_angles, jnp.arctan2(jnp.sin(new - old), jnp.cos(new - old)), small)
-    exterior = jnp.concatenate([again.centre - unknowns.centre, angles])
-    interior = (again.interior - unknowns.interior)[np.array(o.columns, int)]
-    fields = exterior, interior, again.points - unknowns.points
+    return free_values(
+        again.centre - unknowns.centre, angles, again.interior - unknowns.interior, again.points - unknowns.points, o
+    )
+
+
+def sizes(unknowns: Unknowns, o: Observations) -> Float[np.ndarray, " free"]:
+    """Absolute values of the unknowns; 1 for angles."""
+    angles = jnp.ones_like(unknowns.centre)
+    return np.abs(free_values(unknowns.centre, angles, unknowns.interior, unknowns.points, o))
+
+
+def free_values(
+    centre: Array, angles: Array, interior: Array, points: Array, o: Observations
+) -> Float[np.ndarray, " free"]:
+    """The vector of what is free."""
+    fields = jnp.concatenate([centre, angles]), interior[np.array(o.columns, int)], points
     return np.concatenate([np.asarray(field)[mask] for field, mask in zip(fields, masks(o), strict=True)])
 
 

@@ -295,7 +295,7 @@ CASES: dict[str, tuple[Edit, str]] = {
     ),
     "control of the datum": (
         dropped("control.csv", "103", "104"),
-        "control.csv: the control does not determine the datum: 1 of its 7 parameters",
+        "control.csv: the control leaves 1 of the 7 parameters of the datum undetermined",
     ),
 }
 

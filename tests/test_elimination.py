@@ -7,26 +7,29 @@ import jax
 import jax.numpy as jnp
 import numpy as np
 import pytest
-from dense import centred, dense_cofactors, dense_step, dense_system, difference, free_count, masks
+from dense import centred, dense_cofactors, dense_step, dense_system, difference, masks, sizes
 from simulated import small_block
 
 from jaxbundle.block.block import Block
 from jaxbundle.block.observations import DISTANCES, observation_group
-from jaxbundle.block.unknowns import Unknowns
+from jaxbundle.block.unknowns import Unknowns, unknowns_of
 from jaxbundle.camera.model import BAL, BROWN, DISTORTION_FREE
-from jaxbundle.normals.plan import plan
+from jaxbundle.normals.arrange import arrange, arranged_unknowns, problem, restored_unknowns
+from jaxbundle.normals.reduced_plan import Method
+from jaxbundle.normals.step import trial_step
 from jaxbundle.solve.adjust import adjust
-from jaxbundle.solve.levenberg_marquardt import trial_step
 
 DAMPINGS = (1e-12, 1e-8, 1e-4, 1e-2, 1.0, 1e3, 1e6)
 
 
-def block_steps(block: Block, dampings: tuple[float, ...]) -> list[Unknowns]:
+def block_steps(block: Block, dampings: tuple[float, ...], reduced: Method, devices: int) -> list[Unknowns]:
     """The unknowns after a trial step of the solver at each damping; the only place that knows how one is made."""
-    unknowns, observations = centred(block)
-    p = plan(block.structure, block.groups)
-    step = eqx.filter_jit(lambda damping: trial_step(unknowns, observations, p, damping).unknowns)
-    return [step(jnp.asarray(damping)) for damping in dampings]
+    centres = np.asarray(block.exterior.projection_centre)
+    arrangement = arrange(block.structure, block.groups, centres, devices, reduced)
+    block = block.moved(-jnp.mean(block.exterior.projection_centre, 0))
+    start, given = arranged_unknowns(arrangement, unknowns_of(block)), problem(arrangement, block)
+    step = eqx.filter_jit(lambda *given: trial_step(*given).unknowns)
+    return [restored_unknowns(arrangement, step(start, given, jnp.asarray(damping))) for damping in dampings]
 
 
 def changed(block: Block, **changes: object) -> Block:
@@ -104,20 +107,19 @@ def block(request) -> Block:
     return BLOCKS[request.param](small_block().block)
 
 
-def test_steps(block):
+@pytest.mark.parametrize(("reduced", "devices"), [("dense", 1), ("panels", 1), ("panels", 2)])
+def test_steps(block, reduced, devices):
     """From approximate values far off, at dampings from none to a gradient step."""
     unknowns, observations = centred(block)
     system = dense_system(unknowns, observations)
-    size = np.concatenate([np.broadcast_to(10.0, mask.sum()) for mask in masks(observations)])
-    assert len(size) == block.structure.unknowns == free_count(observations)
-    for damping, stepped in zip(DAMPINGS, block_steps(block, DAMPINGS), strict=True):
+    assert len(system.lengths) == block.structure.unknowns
+    # the last digit of values of some kilometres is felt by steps of a hundredth of a millimetre
+    rounding = np.finfo(float).eps * np.linalg.norm(system.lengths * sizes(unknowns, observations))
+    for damping, stepped in zip(DAMPINGS, block_steps(block, DAMPINGS, reduced, devices), strict=True):
         expected = dense_step(system, damping)
         off = difference(unknowns, stepped, observations) - expected
-        # values of some kilometres carry a rounding of 1e-13, which a step of a thousandth of a millimetre feels
-        rounding = np.linalg.norm(system.lengths * 1e-12)
-        assert np.linalg.norm(system.lengths * off) < 1e-10 * np.linalg.norm(system.lengths * expected) + rounding, (
-            damping
-        )
+        allowed = 1e-10 * np.linalg.norm(system.lengths * expected) + rounding
+        assert np.linalg.norm(system.lengths * off) < allowed, damping
 
 
 def test_standard_deviations(block):

@@ -70,7 +70,7 @@ def problem(plan: ReducedPlan, d: int, border: int, rng: np.random.Generator):
 
 
 def check(graph: str, d: int, border: int, method, devices: int, q: int = 4) -> None:
-    """Step, second solution, cofactors and pivots against dense algebra."""
+    """Step, cofactors and pivots against dense algebra."""
     rng = np.random.default_rng(3)
     plan = reduced_plan(graph_of(graph, rng), IMAGES, d, devices, method, q, axis="device")
     system, dense, diagonal, right, free = problem(plan, d, border, rng)
@@ -82,25 +82,26 @@ def check(graph: str, d: int, border: int, method, devices: int, q: int = 4) -> 
 
     def run(solver, system):
         factor = reduced.factorise(solver, system, jnp.asarray(damping))
-        again = reduced.solve(solver, factor, system.right[..., None], system.border_right[:, None])
-        pivots = factor.pivots, factor.border_pivots
-        return reduced.step(solver, factor), again, reduced.cofactors(solver, factor), pivots
+        step = reduced.step(solver, factor)
+        return step, reduced.cofactors(solver, factor), (factor.pivots, factor.border_pivots)
 
     if devices > 1:
         mesh = jax.make_mesh((devices,), ("device",), axis_types=(jax.sharding.AxisType.Auto,))
         everywhere = jax.sharding.PartitionSpec()
         run = jax.shard_map(run, mesh=mesh, in_specs=everywhere, out_specs=everywhere, check_vma=False)
-    once, again, cofactors, pivots = jax.jit(run)(plan.solver, system)
+    step, cofactors, pivots = jax.jit(run)(plan.solver, system)
 
-    for images, rest in (once, again):
-        np.testing.assert_allclose(np.concatenate([images.ravel(), rest.ravel()]), x, atol=1e-11 * abs(x).max())
+    step = np.concatenate([np.ravel(part) for part in step])
+    np.testing.assert_allclose(step, x, rtol=0, atol=1e-11 * abs(x).max())
     allowed = 1e-10 * abs(inverse).max()
     images = inverse[:size, :size].reshape(plan.images, d, plan.images, d)
     expected = np.zeros((plan.pool, d, d))
     expected[: len(plan.pairs)] = images[plan.pairs[:, 0], :, plan.pairs[:, 1]]
-    np.testing.assert_allclose(cofactors.pool, expected, atol=allowed)
-    np.testing.assert_allclose(np.reshape(cofactors.coupling, (size, border)), inverse[:size, size:], atol=allowed)
-    np.testing.assert_allclose(cofactors.border, inverse[size:, size:], atol=allowed)
+    np.testing.assert_allclose(cofactors.pool, expected, rtol=0, atol=allowed)
+    np.testing.assert_allclose(
+        np.reshape(cofactors.coupling, (size, border)), inverse[:size, size:], rtol=0, atol=allowed
+    )
+    np.testing.assert_allclose(cofactors.border, inverse[size:, size:], rtol=0, atol=allowed)
     share = np.concatenate([pivots[0].ravel(), pivots[1]])
     assert np.all(share[~free] == 1)
     scaled = damped / np.sqrt(np.outer(diagonal[free], diagonal[free]))
@@ -115,9 +116,25 @@ def test_step_and_cofactors_are_those_of_the_dense_matrix(graph, d, border, meth
 def test_two_devices_agree_with_the_dense_matrix():
     code = "import jax; jax.config.update('jax_num_cpu_devices', 2); jax.config.update('jax_enable_x64', True)\n"
     code += "from tests.test_reduced import CASES, check\n"
-    code += "[check(*case, devices=2) for case in CASES]"
+    code += "[check(*case, devices=2) for case in (CASES[0], CASES[3], CASES[-1])]"
     answer = subprocess.run([sys.executable, "-c", code], capture_output=True, text=True)
     assert answer.returncode == 0, answer.stderr
+
+
+def test_a_factor_serves_several_right_hand_sides():
+    rng = np.random.default_rng(4)
+    plan = reduced_plan(graph_of("strip", rng), IMAGES, 6, 1, "panels", 4)
+    system, *_ = problem(plan, 6, 5, rng)
+    images = jnp.stack([system.right, 2 * system.right], 2)
+    border = jnp.stack([system.border_right, 2 * system.border_right], 1)
+
+    def run(solver, system):
+        factor = reduced.factorise(solver, system, jnp.asarray(0.1))
+        return reduced.step(solver, factor), reduced.solve(solver, factor, images, border)
+
+    step, several = jax.jit(run)(plan.solver, system)
+    for one, two in zip(step, several, strict=True):
+        np.testing.assert_allclose(two, np.stack([one, 2 * one], -1), rtol=1e-10, atol=1e-14)
 
 
 @pytest.mark.parametrize("method", ["dense", "panels"])
@@ -141,13 +158,20 @@ def test_an_undetermined_unknown_has_no_pivot(method):
 
 @pytest.mark.parametrize("method", ["dense", "panels"])
 def test_blocks_of_similar_size_share_a_program(method):
-    factorise = jax.jit(lambda *arguments: reduced.factorise(*arguments))
+    traced = []
+
+    @jax.jit
+    def factorise(*arguments):
+        traced.append(True)
+        return reduced.factorise(*arguments)
+
     rng = np.random.default_rng(7)
+    i, j = np.mgrid[:IMAGES, :IMAGES]
+    pairs = np.argwhere((i >= j) & (i - j < 6))
     for images in (IMAGES, IMAGES - 1):
-        pairs = graph_of("strip", np.random.default_rng(7))
         plan = reduced_plan(pairs[(pairs < images).all(1)], images, 6, 1, method, 4)
         factorise(plan.solver, problem(plan, 6, 5, rng)[0], jnp.asarray(0.1))
-    assert factorise._cache_size() == 1
+    assert len(traced) == 1
 
 
 def test_what_lies_in_the_waste_bin_does_not_matter():

@@ -134,8 +134,15 @@ def test_finds_that_it_did_not_converge(adjustment, status):
 
 
 def test_finds_what_is_not_determined(adjustment):
-    loose = dataclasses.replace(adjustment, undetermined=("point 7; measure it once more",))
-    assert words(loose, "undetermined") == ["not determined: point 7; measure it once more"]
+    sentences = ("point 7; measure it", "X0 of image 1_01; give control", "point 9; measure it")
+    loose = dataclasses.replace(adjustment, undetermined=sentences)
+    assert words(loose, "undetermined") == [
+        "not determined: point 7, point 9; measure it",
+        "not determined: X0 of image 1_01; give control",
+    ]
+    assert report_dict(loose)["undetermined"] == list(sentences)
+    many = dataclasses.replace(adjustment, undetermined=tuple(f"point {k}; measure it" for k in range(12)))
+    assert words(many, "undetermined")[0].endswith("point 9 and 2 more; measure it")
 
 
 @pytest.mark.parametrize(("factor", "verdict"), [(1.5, "worse"), (0.5, "better")])

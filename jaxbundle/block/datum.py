@@ -13,17 +13,18 @@ respect to (t, r, m); the derivatives come from autodiff, whatever kinds of obse
 import dataclasses
 from dataclasses import dataclass
 
-import equinox as eqx
 import jax
 import jax.numpy as jnp
 import numpy as np
-from jaxtyping import Array, Float
+from jaxtyping import Array, Bool, Float, Int
 
 from jaxbundle.block.block import Block, Datum
 from jaxbundle.block.problems import BlockError, Problem
-from jaxbundle.block.residuals import group_residuals, observations_of
+from jaxbundle.block.residuals import Observations, group_residuals, observations_of
 from jaxbundle.block.unknowns import Unknowns, unknowns_of
 from jaxbundle.geometry import rotation
+from jaxbundle.numerics.compilation import Compiled
+from jaxbundle.numerics.shapes import grid_size
 
 RANK_TOLERANCE = 1e-8  # singular values are of order 1 for control spread over the block
 
@@ -49,34 +50,44 @@ def _transformed(unknowns: Unknowns, parameters: Float[Array, "7"], radius: Arra
     return Unknowns(matrix, moved(unknowns.centre), unknowns.interior, moved(unknowns.points))
 
 
-@eqx.filter_jit
-def _datum_rows(block: Block) -> Float[Array, "row 7"]:
-    """Derivatives of all datum-carrying quantities with respect to the seven parameters, in units of the radius."""
-    structure = block.structure
-    centre = jnp.mean(block.object_points, 0)
-    block = block.moved(-centre)
-    unknowns, observations = unknowns_of(block), observations_of(block)
+def _datum_rows(
+    unknowns: Unknowns, observations: Observations, fixed: Int[Array, " point"], held: Int[Array, " image"]
+) -> Float[Array, "row 7"]:
+    """Derivatives of what carries the datum with respect to the seven parameters, in units of the block's radius.
+
+    `fixed`, `held`: points and images of which an element is held; what of them is free counts nothing.
+    """
     radius = jnp.sqrt(jnp.mean(jnp.sum(unknowns.points**2, 0)))
+    o = observations
 
     def carried(parameters: Float[Array, "7"]) -> list[Float[Array, " row"]]:
         moved = _transformed(unknowns, parameters, radius)
-        held = jnp.concatenate(
-            [moved.centre / radius, jnp.stack(structure.rotation_system.angles_from_rotation(tuple(moved.rotation)))]
-        )
-        rows = [moved.points.T[~structure.point_free] / radius, held.T[~structure.exterior_free]]
-        for group in observations.groups:
-            rows.append((group_residuals(moved, group) * (group.weights > 0)).ravel() / radius)
-        return rows
+        angles = jnp.stack(o.system.angles_from_rotation(tuple(moved.rotation[:, held])))
+        exterior = jnp.concatenate([moved.centre[:, held] / radius, angles])
+        rows = [moved.points[:, fixed] * ~o.point_free[:, fixed] / radius, exterior * ~o.exterior_free[:, held]]
+        rows += [group_residuals(moved, group) * (group.weights > 0) / radius for group in o.groups]
+        return [row.ravel() for row in rows]
 
     return jnp.concatenate(jax.jacfwd(carried)(jnp.zeros(7)))
+
+
+_compiled_rows = Compiled(_datum_rows)
+
+
+def _padded_indices(mask: Bool[np.ndarray, " entity"]) -> Int[Array, " padded"]:
+    """Where the mask is true; the first entity, which counts nothing if it is free, fills up."""
+    index = np.nonzero(mask)[0]
+    padded = np.full(grid_size(len(index)), np.argmin(mask))
+    padded[: len(index)] = index
+    return jnp.asarray(padded, jnp.int32)
 
 
 def _axis(direction: Float[np.ndarray, "3"]) -> str:
     direction = direction / np.linalg.norm(direction)
     k = int(np.argmax(np.abs(direction)))
-    return (
-        "XYZ"[k] if abs(direction[k]) > 0.999 else "({:.2f}, {:.2f}, {:.2f})".format(*direction * np.sign(direction[k]))
-    )
+    if abs(direction[k]) > 0.999:
+        return "XYZ"[k]
+    return "({:.2f}, {:.2f}, {:.2f})".format(*np.round(direction * np.sign(direction[k]), 2) + 0.0)
 
 
 def _null_space(matrix: Float[np.ndarray, "row column"]) -> Float[np.ndarray, "column defect"]:
@@ -86,21 +97,40 @@ def _null_space(matrix: Float[np.ndarray, "row column"]) -> Float[np.ndarray, "c
 
 def datum_defect(block: Block) -> DatumDefect:
     """What the control, the observed stations, the distances and the held elements leave undetermined."""
-    free = _null_space(np.asarray(_datum_rows(block)))
-    count = free.shape[1]
-    if count == 7:
+    structure = block.structure
+    fixed, held = ~structure.point_free.all(1), ~structure.exterior_free.all(1)
+    if not (fixed.any() or held.any() or block.groups):
         return DatumDefect(7, "origin, axes and scale")
+    centred = block.moved(-jnp.mean(block.object_points, 0))
+    rows = _compiled_rows(
+        unknowns_of(centred), observations_of(centred), _padded_indices(fixed), _padded_indices(held), optimised=False
+    )
+    free = _null_space(np.asarray(rows))
+    return DatumDefect(free.shape[1], _words(free))
+
+
+def _words(free: Float[np.ndarray, "7 defect"]) -> str:
+    """The undetermined parameters in words."""
+    if free.shape[1] in (0, 7):
+        return "origin, axes and scale" if free.shape[1] else ""
     words = []
-    shifts = free @ _null_space(free[3:]) if count else free  # combinations without rotation and scale
-    words += [f"the position along {_axis(shift[:3])}" for shift in shifts.T]
+    shifts = free @ _null_space(free[3:])  # combinations without rotation and scale
+    if shifts.shape[1] == 3:
+        words.append("the origin")
+    else:
+        words += [f"the position along {_axis(shift[:3])}" for shift in shifts.T]
     rest = free - shifts @ (shifts.T @ free)
     left, size, _ = np.linalg.svd(rest, full_matrices=False)
-    for vector in left.T[size > RANK_TOLERANCE]:
-        if np.linalg.norm(vector[3:6]) > RANK_TOLERANCE:
-            words.append(f"the rotation about an axis parallel to {_axis(vector[3:6])}")
-        else:
-            words.append("the scale")
-    return DatumDefect(count, ", ".join(words))
+    remaining = left[:, size > RANK_TOLERANCE]
+    turns, size, _ = np.linalg.svd(remaining[3:6], full_matrices=False)
+    turns = turns[:, : int((size > RANK_TOLERANCE).sum())]
+    if turns.shape[1] == 1:
+        words.append(f"the rotation about an axis parallel to {_axis(turns[:, 0])}")
+    elif turns.shape[1]:
+        words.append("all three rotations" if turns.shape[1] == 3 else "two of the three rotations")
+    if remaining.shape[1] > turns.shape[1]:
+        words.append("the scale")
+    return ", ".join(words)
 
 
 def is_located(block: Block) -> bool:
@@ -149,7 +179,7 @@ def with_datum(block: Block) -> Block:
 def insufficient(defect: DatumDefect) -> Problem:
     """The problem of a datum that control determines in part."""
     return Problem(
-        f"the control does not determine the datum: {defect.count} of its 7 parameters are free ({defect.words})",
+        f"the control leaves {defect.count} of the 7 parameters of the datum undetermined: {defect.words}",
         "a block needs at least two points with X, Y, Z and a third one with Z that is not on a line with them,"
         " or observed stations that are not on one line",
         "control",

@@ -26,7 +26,7 @@ class Group(eqx.Module):
 
 
 class Observations(eqx.Module):
-    """Everything observed, who sees what, and what is free; `columns` are the interior elements some camera estimates."""
+    """Everything observed, who sees what, and what is free; `columns`: interior elements that some camera estimates."""
 
     model: CameraModel = eqx.field(static=True)
     columns: tuple[int, ...] = eqx.field(static=True)
@@ -40,12 +40,12 @@ class Observations(eqx.Module):
     exterior_free: Bool[Array, "6 image"]
     interior_free: Bool[Array, "column camera"]
     point_free: Bool[Array, "3 point"]
-    in_angles: Bool[Array, " image"]
+    in_angles: Bool[Array, " image"] | None
 
 
 def observations_of(block: Block) -> Observations:
     """The observations of a block."""
-    structure = block.structure
+    structure, in_angles = block.structure, corrected_in_angles(block.structure)
     groups = tuple(
         Group(group.structure.kind, jnp.asarray(group.structure.indices.T), group.values.T, group.weights.T)
         for group in block.groups
@@ -63,7 +63,7 @@ def observations_of(block: Block) -> Observations:
         jnp.asarray(structure.exterior_free.T),
         jnp.asarray(structure.interior_free.T[list(structure.interior_columns)]),
         jnp.asarray(structure.point_free.T),
-        jnp.asarray(corrected_in_angles(structure)),
+        None if in_angles is None else jnp.asarray(in_angles),
     )
 
 

@@ -71,10 +71,11 @@ def with_unknowns(block: Block, unknowns: Unknowns) -> Block:
     )
 
 
-def corrected_in_angles(structure: Structure) -> Bool[np.ndarray, " image"]:
-    """Images of which one or two angles are held: they are corrected in the user's angles."""
+def corrected_in_angles(structure: Structure) -> Bool[np.ndarray, " image"] | None:
+    """Images of which one or two angles are held: they are corrected in the user's angles. None if there is none."""
     free = structure.exterior_free[:, 3:].sum(1)
-    return (free > 0) & (free < 3)
+    partly = (free > 0) & (free < 3)
+    return partly if partly.any() else None
 
 
 def _small_rotation(reference: Rotation, alpha: Array, omega: Array, kappa: Array) -> Rotation:
@@ -89,25 +90,29 @@ def _columns(rotation_from_angles: Callable[..., Rotation], angles: Angles) -> F
 
 
 def attitude_derivatives(
-    matrix: Float[Array, "9 image"], in_angles: Bool[Array, " image"], system: RotationSystem
+    matrix: Float[Array, "9 image"], in_angles: Bool[Array, " image"] | None, system: RotationSystem
 ) -> Float[Array, "9 3 image"]:
     """Derivatives of the rotation matrices with respect to the three angles their corrections are made in."""
     zero = (jnp.zeros_like(matrix[0]),) * 3
     small = _columns(lambda *angles: _small_rotation(tuple(matrix), *angles), zero)
+    if in_angles is None:
+        return small
     own = _columns(system.rotation_from_angles, system.angles_from_rotation(tuple(matrix)))
     return jnp.where(in_angles, own, small)
 
 
 def corrected(
-    unknowns: Unknowns, correction: Correction, in_angles: Bool[Array, " image"], system: RotationSystem
+    unknowns: Unknowns, correction: Correction, in_angles: Bool[Array, " image"] | None, system: RotationSystem
 ) -> Unknowns:
     """The unknowns after a correction."""
     angles = tuple(correction.exterior[3:])
-    small = jnp.stack(_small_rotation(tuple(unknowns.rotation), *angles))
-    reference = system.angles_from_rotation(tuple(unknowns.rotation))
-    own = jnp.stack(system.rotation_from_angles(*(a + d for a, d in zip(reference, angles, strict=True))))
+    matrix = jnp.stack(_small_rotation(tuple(unknowns.rotation), *angles))
+    if in_angles is not None:
+        reference = system.angles_from_rotation(tuple(unknowns.rotation))
+        own = jnp.stack(system.rotation_from_angles(*(a + d for a, d in zip(reference, angles, strict=True))))
+        matrix = jnp.where(in_angles, own, matrix)
     return Unknowns(
-        jnp.where(in_angles, own, small),
+        matrix,
         unknowns.centre + correction.exterior[:3],
         unknowns.interior + correction.interior,
         unknowns.points + correction.points,
@@ -131,7 +136,7 @@ def angles_near(matrix: Rotation, reference: Float[Array, "3 image"], system: Ro
 
 def angle_derivatives(
     matrix: Float[Array, "9 image"],
-    in_angles: Bool[Array, " image"],
+    in_angles: Bool[Array, " image"] | None,
     reference: Float[Array, "3 image"],
     system: RotationSystem,
 ) -> Float[Array, "3 3 image"]:
@@ -141,4 +146,4 @@ def angle_derivatives(
     """
     zero = (jnp.zeros_like(matrix[0]),) * 3
     small = _columns(lambda *k: angles_near(_small_rotation(tuple(matrix), *k), reference, system), zero)
-    return jnp.where(in_angles, jnp.eye(3)[:, :, None], small)
+    return small if in_angles is None else jnp.where(in_angles, jnp.eye(3)[:, :, None], small)

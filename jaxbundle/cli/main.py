@@ -45,7 +45,7 @@ def _loaded(command: str) -> ModuleType:
     return importlib.import_module(f"jaxbundle.cli.{command}")
 
 
-def _version(wanted: bool) -> None:
+def _version(wanted: bool | None) -> None:
     if wanted:
         typer.echo(f"jaxbundle {version('jaxbundle')}")
         raise typer.Exit
@@ -53,9 +53,9 @@ def _version(wanted: bool) -> None:
 
 @app.callback()
 def options(
-    _: Annotated[
-        bool, typer.Option("--version", callback=_version, is_eager=True, help="Show the version and exit.")
-    ] = False,
+    version_wanted: Annotated[
+        bool | None, typer.Option("--version", callback=_version, is_eager=True, help="Show the version and exit.")
+    ] = None,
 ) -> None:
     """Options of all commands."""
 

@@ -24,7 +24,8 @@ from jaxbundle.normals.eliminate import Shape
 from jaxbundle.normals.kept import KeptRays
 from jaxbundle.normals.reduced_plan import Method, reduced_plan
 from jaxbundle.normals.reduced_system import ReducedSolver
-from jaxbundle.normals.tiles import CLASSES, SLOTS, Tiling, grid_size, tiling
+from jaxbundle.normals.tiles import CLASSES, SLOTS, Tiling, tiling
+from jaxbundle.numerics.shapes import grid_size
 
 DENSE_TABLE = 4096  # images; beyond, pairs are looked up by bisection
 
@@ -258,7 +259,7 @@ def restored_unknowns(a: Arrangement, arranged: Arranged) -> Unknowns:
 
 def problem(a: Arrangement, block: Block) -> Problem:
     """The observations of a block in the order of elimination; concrete ones are laid out by the host."""
-    o, structure = a.order, block.structure
+    o, structure, in_angles = a.order, block.structure, corrected_in_angles(block.structure)
     image_camera = np.arange(o.images)  # where every image has its own camera, so have the dummies
     if a.shape.cameras:
         image_camera = np.zeros(o.images, int)
@@ -286,7 +287,7 @@ def problem(a: Arrangement, block: Block) -> Problem:
         jnp.asarray(_spread(structure.exterior_free.T, o.image, o.images, False)),
         jnp.asarray(_spread(interior_free, o.camera, o.cameras, False)),
         jnp.asarray(_spread(structure.point_free.T, o.point, o.points, False)),
-        jnp.asarray(_spread(corrected_in_angles(structure)[None], o.image, o.images, False)[0]),
+        None if in_angles is None else jnp.asarray(_spread(in_angles[None], o.image, o.images, False)[0]),
     )
     return Problem(
         observations,

@@ -1,6 +1,6 @@
 """The reduced matrix as one dense matrix, for small blocks: A = L L^T, W = L^-1.
 
-    L^-1 r = W r,    L^-T y = W^T y,    A^-1 = W^T W
+L^-1 r = W r,    L^-T y = W^T y,    A^-1 = W^T W
 """
 
 import jax.numpy as jnp

@@ -1,13 +1,13 @@
 """Which images share a point, and in which order their unknowns are eliminated.
 
-The reduced matrix has a block for every pair of images that share a point. Reverse Cuthill-McKee numbers the images along
-the block, so that these pairs lie in a band. For two devices the band is burnt at both ends:
+The reduced matrix has a block for every pair of images that share a point. Reverse Cuthill-McKee numbers the images
+along the block, so that these pairs lie in a band. For two devices the band is burnt at both ends:
 
     rank     0 ..... l-1   l ......... l+r-1   l+r ..... images-1
     part     left end ->   right end, reversed ->   separator
              first device  second device            both
 
-No image of the left end shares a point with one of the right end; the separator is what remains of the band between them.
+No image of the left end shares a point with one of the right end; the separator is what remains between them.
 """
 
 from typing import NamedTuple

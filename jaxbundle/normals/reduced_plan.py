@@ -12,11 +12,11 @@ from jaxbundle.normals.ordering import elimination_order, ranked_pairs
 from jaxbundle.normals.panel_cholesky import PanelCholesky
 from jaxbundle.normals.reduced_system import ReducedSolver
 from jaxbundle.normals.symbolic import symbolic
-from jaxbundle.normals.tiles import grid_size
+from jaxbundle.numerics.shapes import grid_size
 
 Method = Literal["auto", "dense", "panels"]
-DENSE_UNKNOWNS = 300  # below, one dense matrix is as fast as tiles
-PANEL_ROWS = 144  # a tile that makes a fast product and still leaves a sparse pattern
+DENSE_UNKNOWNS = 160  # measured: up to here one dense matrix is as fast as tiles, and it compiles in half the time
+SMALL_UNKNOWNS, SMALL_ROWS, ROWS = 1000, 72, 144  # measured: 72 rows a tile are faster up to 1000 unknowns, 144 beyond
 
 
 @dataclass(frozen=True)
@@ -34,9 +34,10 @@ class ReducedPlan:
     solver: ReducedSolver
 
 
-def panel_width(d: int) -> int:
-    """Images a panel."""
-    return max(4, 4 * round(PANEL_ROWS / d / 4))
+def panel_width(images: int, d: int) -> int:
+    """Images a panel: large tiles make fast products, small ones leave more of the pattern empty."""
+    rows = SMALL_ROWS if images * d <= SMALL_UNKNOWNS else ROWS
+    return 4 * max(1, round(rows / d / 4))
 
 
 def reduced_plan(
@@ -48,8 +49,11 @@ def reduced_plan(
     q: int | None = None,
     axis: str = "device",
 ) -> ReducedPlan:
-    """The plan for `images` images with `d` unknowns each that share points in `pairs`."""
-    q = q or panel_width(d)
+    """The plan for `images` images with `d` unknowns each that share points in `pairs`; `q` images a panel.
+
+    With several devices the solver's functions run inside a shard_map over `axis`, all of their arrays replicated.
+    """
+    q = q or panel_width(images, d)
     dense = images * d <= DENSE_UNKNOWNS if method == "auto" else method == "dense"
     order = elimination_order(pairs, images, q, 1 if dense else devices)
     pairs = ranked_pairs(pairs, order.rank)

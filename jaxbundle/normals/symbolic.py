@@ -1,7 +1,7 @@
 """Symbolic factorisation of the reduced matrix: which tiles fill, and which products make them.
 
-`q` images in elimination order are a panel, two panels (I, J) a tile of b x b numbers, b = q d. Eliminating panel J with
-the panels R_J below it in its column changes every tile (A, B), A >= B, both in R_J:
+`q` images in elimination order are a panel, two panels (I, J) a tile of b x b numbers, b = q d. Eliminating panel J
+with the panels R_J below it in its column changes every tile (A, B), A >= B, both in R_J:
 
     L_AB <- L_AB - L_AJ L_BJ^T,    so (A, B) becomes a tile of the pattern if it was none.
 
@@ -22,20 +22,20 @@ import numpy as np
 from jaxtyping import Array, Bool, Int
 
 from jaxbundle.normals.ordering import Order
-from jaxbundle.normals.tiles import grid_size
+from jaxbundle.numerics.shapes import grid_size
 
 
 class Columns(eqx.Module):
     """Panels eliminated one after the other. `below`: (tile, panel of its row); `update`: tiles (A, J), (B, J), (A, B).
 
-    The updates of a column begin with those of diagonal tiles, A = B, one for each tile below. `block`: the pool's block
-    at every place of every tile, the last one (0) where there is none.
+    The updates of a column begin with those of diagonal tiles, A = B, one for each tile below. `block`: the pool's
+    block at every place of every tile, the last one (0) where there is none.
     """
 
     count: Int[Array, " part"]
-    first_below: Int[Array, "part column+1"]
+    first_below: Int[Array, "part offset"]
     below: Int[Array, "part below 2"]
-    first_update: Int[Array, "part column+1"]
+    first_update: Int[Array, "part offset"]
     update: Int[Array, "part update 3"]
     block: Int[Array, "part tile q q"]
 
@@ -47,7 +47,7 @@ class PanelStructure(eqx.Module):
     ends: Columns | None
     separator: Columns
     position: Int[Array, "part image"]
-    pair_place: Int[Array, "part pair+1 3"]
+    pair_place: Int[Array, "part block 3"]
 
 
 class _Lists(NamedTuple):
@@ -60,9 +60,14 @@ class _Lists(NamedTuple):
     update: np.ndarray
 
 
-def small_grid(count: int) -> int:
-    """Padded number of panels or tiles, which are large."""
-    return grid_size(count, 4)
+def tile_grid(count: int) -> int:
+    """Padded number of tiles, or of panels."""
+    return grid_size(count, 4, 1.25)
+
+
+def list_grid(count: int) -> int:
+    """Padded length of a list, which costs next to nothing."""
+    return grid_size(count, 8, 2.0)
 
 
 def fill(panels: Int[np.ndarray, "pair 2"], count: int) -> Bool[np.ndarray, "panel panel"]:
@@ -120,13 +125,13 @@ def _padded(arrays: list, length: int, value: int = 0) -> Array:
 
 def _columns(lists: list[_Lists], blocks: list[np.ndarray], waste: int, tiles: int) -> Columns:
     """The padded lists of all parts."""
-    columns = small_grid(max(s.columns for s in lists))
+    columns = tile_grid(max(s.columns for s in lists))
     return Columns(
         jnp.asarray([s.columns for s in lists], jnp.int32),
         _padded([s.first_below for s in lists], columns + 1),
-        _padded([s.below for s in lists], grid_size(max(len(s.below) for s in lists))),
+        _padded([s.below for s in lists], list_grid(max(len(s.below) for s in lists))),
         _padded([s.first_update for s in lists], columns + 1),
-        _padded([s.update for s in lists], grid_size(max(len(s.update) for s in lists))),
+        _padded([s.update for s in lists], list_grid(max(len(s.update) for s in lists))),
         _padded(blocks, tiles, waste),
     )
 
@@ -144,10 +149,10 @@ def symbolic(
     split = len(parts[0]) > 0
     ends = [parts[g] if g < 2 else parts[0][:0] for g in range(devices)] if split else []
     tiles_of = [int(tiles[:, p].sum()) for p in (*ends, parts[2])]
-    end_panels = small_grid(max(len(p) for p in ends)) if split else 0
-    end_tiles = small_grid(max(tiles_of[:-1])) if split else 0
-    tile_count = end_tiles + small_grid(tiles_of[-1])
-    panel_count = end_panels + small_grid(len(parts[2]))
+    end_panels = tile_grid(max(len(p) for p in ends)) if split else 0
+    end_tiles = tile_grid(max(tiles_of[:-1])) if split else 0
+    tile_count = end_tiles + tile_grid(tiles_of[-1])
+    panel_count = end_panels + tile_grid(len(parts[2]))
 
     lists, blocks, positions, pair_places = [], [], [], []
     for g, own in enumerate(ends or [parts[0]]):

@@ -17,6 +17,8 @@ from typing import NamedTuple
 import numpy as np
 from jaxtyping import Bool, Float, Int
 
+from jaxbundle.numerics.shapes import grid_size
+
 SLOTS = 48
 CLASSES = (2, 3, 4, 6, 8, 12, 16, 24, 48)  # divisors of SLOTS
 MOST_TILES = SLOTS // CLASSES[0]  # a chunk's
@@ -42,14 +44,6 @@ class Tiling:
     ray: Int[np.ndarray, "device chunk slot width"]
     chunks: Int[np.ndarray, " device"]
     tiles: int
-
-
-def grid_size(count: int, least: int = 16, ratio: float = 1.125) -> int:
-    """The next size on a geometric grid: few sizes, few compilations."""
-    size = least
-    while size < count:
-        size = int(size * ratio) + 1
-    return size
 
 
 def tile_width(rays: int) -> int:

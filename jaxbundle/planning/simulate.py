@@ -10,7 +10,7 @@ import equinox as eqx
 import jax
 import jax.numpy as jnp
 import numpy as np
-from jaxtyping import Array, Bool, Float
+from jaxtyping import Array, Bool, Float, Int
 
 from jaxbundle.block.block import (
     CENTRE_ELEMENTS,
@@ -26,8 +26,8 @@ from jaxbundle.block.block import (
 from jaxbundle.block.observations import CONTROL, STATIONS, ObservationGroup, observation_group
 from jaxbundle.block.residuals import Observations, observations_of, ray_residuals
 from jaxbundle.block.unknowns import Unknowns, unknowns_of
-from jaxbundle.geometry.precision import require_float64
 from jaxbundle.geometry.rotation import OMEGA_PHI_KAPPA
+from jaxbundle.numerics.precision import require_float64
 from jaxbundle.planning.flight import (
     FRAME_CAMERA,
     SCATTER,
@@ -142,7 +142,7 @@ def _exact(unknowns: Unknowns, observations: Observations) -> tuple[Float[Array,
     def residual(measured: Array) -> Array:
         return ray_residuals(unknowns, eqx.tree_at(lambda o: o.coordinates, observations, measured))
 
-    def step(_: int, measured: Array) -> Array:
+    def step(_: Int[Array, ""], measured: Array) -> Array:
         v, (xx, yx) = jax.jvp(residual, (measured,), (jnp.stack([one, zero]),))
         _, (xy, yy) = jax.jvp(residual, (measured,), (jnp.stack([zero, one]),))
         determinant = xx * yy - xy * yx
@@ -153,7 +153,7 @@ def _exact(unknowns: Unknowns, observations: Observations) -> tuple[Float[Array,
 
 
 def _visible(
-    scene: _Scene, near: Incidence, coordinates: Float[np.ndarray, "ray 2"], left: Float[np.ndarray, "ray 2"]
+    scene: _Scene, near: Incidence, coordinates: Float[np.ndarray, "near 2"], left: Float[np.ndarray, "near 2"]
 ) -> tuple[_Scene, Incidence, Float[np.ndarray, "ray 2"]]:
     """What the images show: points on two images at least, control points on one; the others are left out."""
     camera = scene.camera

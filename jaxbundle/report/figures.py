@@ -31,8 +31,8 @@ class Figures:
     points: Float[np.ndarray, "point 3"]
     points_sd: Float[np.ndarray, "point 3"]
     check_differences: Float[np.ndarray, "check 3"]
-    residuals: tuple[Float[np.ndarray, "member component"], ...]
-    normalised: tuple[Float[np.ndarray, "member component"], ...]
+    residuals: tuple[Float[np.ndarray, "_member _component"], ...]
+    normalised: tuple[Float[np.ndarray, "_member _component"], ...]
     rays_of_point: Int[np.ndarray, " point"]
     rays_of_image: Int[np.ndarray, " image"]
 

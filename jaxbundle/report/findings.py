@@ -20,7 +20,7 @@ CHANCE = 6.3e-5  # the probability of that
 ILL_FITTING = 2.0  # residuals of rays of control points over those of tie points
 FEW = 10  # rays: fewer say nothing
 NAMED = 5  # examples in one sentence
-SENTENCES = 10  # of one kind
+SENTENCES = 10  # of one kind, and names in one sentence about what is not determined
 NO_ERRORS = 1e-6  # sigma0 of observations that have none: residuals are rounding
 CURES = {
     Status.MAXIMUM_ITERATIONS: "allow more iterations, or give better approximate values",
@@ -73,8 +73,7 @@ def findings_of(figures: Figures) -> list[Finding]:
     found = []
     if status is not Status.CONVERGED:
         found.append(Finding("not converged", f"the adjustment {status.words}; {CURES[status]}"))
-    undetermined = figures.adjustment.undetermined
-    found += [Finding("undetermined", f"not determined: {sentence}") for sentence in undetermined]
+    found += [Finding("undetermined", f"not determined: {sentence}") for sentence in _undetermined(figures)]
     suggestions = _outlying(figures)
     if status is Status.CONVERGED:
         suggestions = [
@@ -88,6 +87,20 @@ def findings_of(figures: Figures) -> list[Finding]:
     if figures.adjustment.cofactors is None:
         found.append(Finding("note", "no standard deviations were computed"))
     return found + [Finding("note", note) for note in figures.structure.notes]
+
+
+def _undetermined(figures: Figures) -> list[str]:
+    """What is not determined, with one sentence for all that has the same cure."""
+    by_cure: dict[str, list[str]] = {}
+    for sentence in figures.adjustment.undetermined:
+        what, _, cure = sentence.partition("; ")
+        by_cure.setdefault(cure, []).append(what)
+    return [f"{_listed(names)}; {cure}" for cure, names in by_cure.items()]
+
+
+def _listed(names: list[str]) -> str:
+    more = len(names) - SENTENCES
+    return ", ".join(names[:SENTENCES]) + (f" and {more} more" if more > 0 else "")
 
 
 def _sigma0(figures: Figures) -> list[str]:

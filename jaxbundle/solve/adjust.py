@@ -4,7 +4,6 @@ import importlib
 from collections.abc import Callable
 from typing import NamedTuple
 
-import equinox as eqx
 import jax
 import jax.numpy as jnp
 import numpy as np
@@ -21,7 +20,6 @@ from jaxbundle.block.unknowns import (
     with_unknowns,
 )
 from jaxbundle.block.validate import require_valid
-from jaxbundle.geometry.precision import require_float64
 from jaxbundle.normals.arrange import (
     Arranged,
     Arrangement,
@@ -33,6 +31,8 @@ from jaxbundle.normals.arrange import (
 )
 from jaxbundle.normals.cofactors import Cofactors, cofactors
 from jaxbundle.normals.reduced_plan import Method
+from jaxbundle.numerics.compilation import RAYS_FOR_OPTIMISATION, Compiled
+from jaxbundle.numerics.precision import require_float64
 from jaxbundle.solve import levenberg_marquardt as solver
 from jaxbundle.solve.adjustment import Adjustment, BlockCofactors, Iterations, Status
 from jaxbundle.solve.levenberg_marquardt import Arguments, BundleSolver, State
@@ -113,6 +113,10 @@ def _useful_devices(block: Block) -> int:
     return jax.local_device_count() if len(block.structure.ray_image) >= RAYS_FOR_DEVICES else 1
 
 
+def _is_large(block: Block) -> bool:
+    return len(block.structure.ray_image) >= RAYS_FOR_OPTIMISATION
+
+
 def _iterate(
     block: Block,
     plan: Arrangement,
@@ -124,15 +128,16 @@ def _iterate(
     """Runs the solver: all steps in one program under tracing, else step by step so that a user can look on."""
     bundle = BundleSolver(METHODS[method]())
     unknowns, state = arranged_unknowns(plan, unknowns_of(block)), bundle.first()
+    optimised = _is_large(block)
     if not block.concrete:
-        unknowns, state = solver.run(bundle, unknowns, args, state, max_iterations)
+        unknowns, state = solver.run(bundle, unknowns, args, state, max_iterations, optimised=optimised)
         codes = jnp.array([_STATUS[k] for k in range(len(_STATUS))])
         return unknowns, _iterations(state, codes[state.status])
     interrupted = False
     try:
         while int(state.trials) < max_iterations and int(state.status) == solver.RUNNING:
             before = int(state.accepted)
-            unknowns, state = solver.run(bundle, unknowns, args, state, 1)
+            unknowns, state = solver.run(bundle, unknowns, args, state, 1, optimised=optimised)
             if progress is not None:
                 progress(_progress(block, state, int(state.accepted) > before))
     except KeyboardInterrupt:
@@ -163,11 +168,11 @@ def _answer(
 ) -> Adjustment:
     """Residuals, cofactors and the adjusted block in the user's object system."""
     unknowns, observations = restored_unknowns(plan, arranged), observations_of(block)
-    residuals = _residuals(unknowns, observations)
+    residuals = _residuals(unknowns, observations, optimised=_is_large(block))
     weights = [observations.weights, *(group.weights for group in observations.groups)]
     computed, weak = None, ()
     if precision:
-        q = _cofactors(arranged, problem(plan, block))
+        q = _cofactors(arranged, problem(plan, block), optimised=_is_large(block))
         computed = _block_cofactors(block, plan, unknowns, q)
         if block.concrete:
             weak = undetermined_unknowns(block.structure, plan, q)
@@ -183,12 +188,12 @@ def _answer(
     )
 
 
-@eqx.filter_jit
+@Compiled
 def _cofactors(arranged: Arranged, problem: Problem) -> Cofactors:
     return cofactors(arranged, problem)
 
 
-@eqx.filter_jit
+@Compiled
 def _residuals(unknowns: Unknowns, observations: Observations) -> tuple[Array, ...]:
     """Residuals; 0 where a component is not observed."""
     groups = (jnp.where(g.weights > 0, group_residuals(unknowns, g), 0.0) for g in observations.groups)
@@ -199,7 +204,7 @@ def _block_cofactors(block: Block, plan: Arrangement, unknowns: Unknowns, q: Cof
     """Cofactors in the order of the block, the angles turned into those of the user's rotation system."""
     structure, shape = block.structure, plan.shape
     rows = q.images[plan.order.image]
-    in_angles = jnp.asarray(corrected_in_angles(structure))
+    in_angles = corrected_in_angles(structure)
     reference, system = block.exterior.angles.T, structure.rotation_system
     turned = angle_derivatives(unknowns.rotation, in_angles, reference, system).transpose(2, 0, 1)
     to_user = jnp.zeros((len(rows), 6, 6)).at[:, :3, :3].set(jnp.eye(3)).at[:, 3:, 3:].set(turned)

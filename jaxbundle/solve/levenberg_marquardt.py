@@ -17,6 +17,7 @@ from jaxtyping import Array, Bool, Float, Int
 
 from jaxbundle.normals.arrange import Arranged, Problem
 from jaxbundle.normals.step import trial_step, weighted_residuals
+from jaxbundle.numerics.compilation import Compiled
 from jaxbundle.solve.search import AbstractSearch, SearchState
 from jaxbundle.solve.stopping import AbstractStoppingRule, StepTaken
 
@@ -108,7 +109,7 @@ class BundleSolver(optx.AbstractLeastSquaresSolver[Arranged, Any, Any, State]):
         return y, aux, {"state": state}
 
 
-@eqx.filter_jit
+@Compiled
 def run(
     solver: BundleSolver, unknowns: Arranged, args: Arguments, state: State, max_steps: int
 ) -> tuple[Arranged, State]:

@@ -26,8 +26,8 @@ import numpy as np
 from jaxtyping import Array, Float
 
 from jaxbundle.camera.collinearity import central_projection, collinearity, photo_vector
-from jaxbundle.geometry.precision import require_float64
 from jaxbundle.geometry.rotation import IDENTITY, Rotation, apply, from_alpha_omega_kappa, product, transpose
+from jaxbundle.numerics.precision import require_float64
 from jaxbundle.textbook.partials import (
     FORMULAS,
     MATRIX_ELEMENTS,
