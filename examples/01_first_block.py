@@ -27,5 +27,3 @@ for name, centre, deviation, true in zip(
 
 size = np.abs(found.object_points - truth.object_points) / sd.object_points
 print(f"\n{np.mean(size < 2):.0%} of the object coordinates are within 2 standard deviations of the truth")
-for finding in jb.findings(result):
-    print(f"{finding.label}: {finding.words}")

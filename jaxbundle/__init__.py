@@ -1,86 +1,88 @@
-"""jaxbundle: photogrammetric bundle adjustment in JAX, with derivatives through everything.
+"""A photogrammetric bundle adjuster in JAX, with derivatives through everything.
+
+    import jax; jax.config.update("jax_enable_x64", True)
+    import jaxbundle as jb
 
     block = jb.read("folder")
     result = jb.adjust(block)
     print(result.summary())
-
-Names are loaded when they are first used: the help of the command line does not wait for JAX.
+    result.standard_deviations.object_points
 """
 
-import importlib
-from typing import TYPE_CHECKING, Any
-
-if TYPE_CHECKING:
-    from jaxbundle.block.block import Block
-    from jaxbundle.block.changes import with_interior_held
-    from jaxbundle.block.datum import with_datum
-    from jaxbundle.block.problems import BlockError
-    from jaxbundle.io.bal import read_bal, write_bal
-    from jaxbundle.io.block_folder_writer import write_block_folder
-    from jaxbundle.io.read import read
-    from jaxbundle.planning.flight import AerialCamera
-    from jaxbundle.planning.simulate import Simulation, simulate
-    from jaxbundle.report.files import write_report
-    from jaxbundle.report.findings import findings
-    from jaxbundle.report.tables import report_dict
-    from jaxbundle.report.text import report_text
-    from jaxbundle.solve.adjust import adjust
-    from jaxbundle.solve.adjustment import Adjustment, Status
-    from jaxbundle.solve.stopping import AngleRule, ParallaxRule, PointRule, UnknownRule, parallax_rule, unknown_rule
-    from jaxbundle.textbook.crosscheck import CrossCheck, crosscheck
-
-_MODULES = {
-    "block.block": ("Block",),
-    "block.changes": ("with_interior_held",),
-    "block.datum": ("with_datum",),
-    "block.problems": ("BlockError",),
-    "io.bal": ("read_bal", "write_bal"),
-    "io.block_folder_writer": ("write_block_folder",),
-    "io.read": ("read",),
-    "planning.flight": ("AerialCamera",),
-    "planning.simulate": ("Simulation", "simulate"),
-    "report.files": ("write_report",),
-    "report.findings": ("findings",),
-    "report.tables": ("report_dict",),
-    "report.text": ("report_text",),
-    "solve.adjust": ("adjust",),
-    "solve.adjustment": ("Adjustment", "Status"),
-    "solve.stopping": ("AngleRule", "ParallaxRule", "PointRule", "UnknownRule", "parallax_rule", "unknown_rule"),
-    "textbook.crosscheck": ("CrossCheck", "crosscheck"),
-}
-_HOME = {name: module for module, names in _MODULES.items() for name in names}
+from jaxbundle.block.block import (
+    Block,
+    Camera,
+    CheckPoints,
+    Datum,
+    ExteriorOrientation,
+    InteriorOrientation,
+    Rays,
+    Structure,
+)
+from jaxbundle.block.changes import with_interior_held
+from jaxbundle.block.datum import DatumDefect, datum_defect, with_datum
+from jaxbundle.block.observations import (
+    CONTROL,
+    DISTANCES,
+    STATIONS,
+    ObservationGroup,
+    ObservationKind,
+    observation_group,
+)
+from jaxbundle.block.problems import BlockError, Problem
+from jaxbundle.block.validate import validate
+from jaxbundle.camera.collinearity import collinearity
+from jaxbundle.camera.model import CAMERA_MODELS, CameraModel
+from jaxbundle.io import read, read_bal, read_block_folder, write_bal, write_block_folder
+from jaxbundle.planning.simulate import Simulation, simulate
+from jaxbundle.report import report_dict, report_text, write_report
+from jaxbundle.solve.adjust import Progress, adjust
+from jaxbundle.solve.adjustment import Adjustment, Status
+from jaxbundle.solve.stopping import AngleRule, PointRule, parallax_rule, unknown_rule
+from jaxbundle.textbook import crosscheck
 
 __all__ = [
-    "adjust",
+    "CAMERA_MODELS",
+    "CONTROL",
+    "DISTANCES",
+    "STATIONS",
     "Adjustment",
-    "AerialCamera",
     "AngleRule",
     "Block",
     "BlockError",
-    "CrossCheck",
-    "crosscheck",
-    "findings",
-    "parallax_rule",
-    "ParallaxRule",
+    "Camera",
+    "CameraModel",
+    "CheckPoints",
+    "Datum",
+    "DatumDefect",
+    "ExteriorOrientation",
+    "InteriorOrientation",
+    "ObservationGroup",
+    "ObservationKind",
     "PointRule",
+    "Problem",
+    "Progress",
+    "Rays",
+    "Simulation",
+    "Status",
+    "Structure",
+    "adjust",
+    "collinearity",
+    "crosscheck",
+    "datum_defect",
+    "observation_group",
+    "parallax_rule",
     "read",
     "read_bal",
+    "read_block_folder",
     "report_dict",
     "report_text",
     "simulate",
-    "Simulation",
-    "Status",
     "unknown_rule",
-    "UnknownRule",
+    "validate",
     "with_datum",
     "with_interior_held",
     "write_bal",
     "write_block_folder",
     "write_report",
 ]
-
-
-def __getattr__(name: str) -> Any:
-    if name not in _HOME:
-        raise AttributeError(f"module 'jaxbundle' has no attribute {name!r}")
-    return getattr(importlib.import_module(f"jaxbundle.{_HOME[name]}"), name)

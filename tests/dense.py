@@ -56,7 +56,8 @@ def difference(unknowns: Unknowns, again: Unknowns, o: Observations) -> Float[np
     turn = rotation.product(rotation.transpose(tuple(unknowns.rotation)), tuple(again.rotation))
     small = jnp.stack(rotation.to_alpha_omega_kappa(turn))
     old, new = (jnp.stack(o.system.angles_from_rotation(tuple(u.rotation))) for u in (unknowns, again))
-    angles = jnp.where(o.in_angles, jnp.arctan2(jnp.sin(new - old), jnp.cos(new - old)), small)
+    own = jnp.arctan2(jnp.sin(new - old), jnp.cos(new - old))
+    angles = small if o.in_angles is None else jnp.where(o.in_angles, own, small)
     return free_values(
         again.centre - unknowns.centre, angles, again.interior - unknowns.interior, again.points - unknowns.points, o
     )
@@ -103,7 +104,8 @@ def dense_step(system: System, damping: float) -> Float[np.ndarray, " free"]:
 
 def dense_cofactors(unknowns: Unknowns, o: Observations) -> Float[np.ndarray, "free free"]:
     """N^-1, the attitudes in the user's angles."""
-    in_angles = jnp.ones_like(o.in_angles)
-    system = dense_system(unknowns, eqx.tree_at(lambda o: o.in_angles, o, in_angles))
+    in_angles = jnp.ones(o.image_camera.shape, bool)
+    in_user_angles = eqx.tree_at(lambda o: o.in_angles, o, in_angles, is_leaf=lambda leaf: leaf is None)
+    system = dense_system(unknowns, in_user_angles)
     inverse = np.linalg.inv(np.linalg.qr(system.design / system.lengths, mode="r")) / system.lengths[:, None]
     return inverse @ inverse.T

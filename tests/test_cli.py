@@ -228,20 +228,14 @@ def test_cache_is_in_the_users_cache_folder(monkeypatch, tmp_path):
         assert runtime.cache_folder() == Path.home() / ".cache" / "jaxbundle"
 
 
-def test_programs_are_kept_and_start_in_double_precision(tmp_path):
+def test_runtime_is_in_double_precision_on_all_cores_and_keeps_programs(tmp_path):
     """In a process of its own, as these are settings of the whole process."""
     script = (
-        "from jaxbundle.cli import runtime; runtime.start(); import jax.numpy as jnp; print(jnp.sin(jnp.ones(3)).dtype)"
+        "from jaxbundle.cli import runtime; runtime.start(); import jax; import jax.numpy as jnp;"
+        "print(jnp.sin(jnp.ones(3)).dtype, jax.local_device_count() == min(runtime._cores(), 8))"
     )
     environment = os.environ | {"XDG_CACHE_HOME": str(tmp_path), "JAX_PLATFORMS": "cpu", "PYTHONPATH": str(ROOT)}
     environment.pop("JAX_ENABLE_X64", None)
     done = subprocess.run([sys.executable, "-c", script], env=environment, capture_output=True, text=True, check=True)
-    assert done.stdout == "float64\n"
+    assert done.stdout == "float64 True\n"
     assert list((tmp_path / "jaxbundle").iterdir())
-
-
-def test_help_does_not_wait_for_jax():
-    script = "import sys; from jaxbundle.cli import main; print('jax' in sys.modules, 'numpy' in sys.modules)"
-    environment = os.environ | {"PYTHONPATH": str(ROOT)}
-    done = subprocess.run([sys.executable, "-c", script], env=environment, capture_output=True, text=True, check=True)
-    assert done.stdout == "False False\n"

@@ -3,11 +3,10 @@
 import dataclasses
 
 import equinox as eqx
-import jax
 import jax.numpy as jnp
 import numpy as np
 import pytest
-from dense import centred, dense_cofactors, dense_step, dense_system, difference, masks, sizes
+from dense import centred, dense_cofactors, dense_step, dense_system, difference, free_values, masks, sizes
 from simulated import small_block
 
 from jaxbundle.block.block import Block
@@ -16,20 +15,29 @@ from jaxbundle.block.unknowns import Unknowns, unknowns_of
 from jaxbundle.camera.model import BAL, BROWN, DISTORTION_FREE
 from jaxbundle.normals.arrange import arrange, arranged_unknowns, problem, restored_unknowns
 from jaxbundle.normals.reduced_plan import Method
-from jaxbundle.normals.step import trial_step
 from jaxbundle.solve.adjust import adjust
+from jaxbundle.solve.levenberg_marquardt import Arguments, BundleSolver, run
+from jaxbundle.solve.search import FullStep
+from jaxbundle.solve.stopping import AngleRule
 
 DAMPINGS = (1e-12, 1e-8, 1e-4, 1e-2, 1.0, 1e3, 1e6)
 
 
 def block_steps(block: Block, dampings: tuple[float, ...], reduced: Method, devices: int) -> list[Unknowns]:
-    """The unknowns after a trial step of the solver at each damping; the only place that knows how one is made."""
+    """The unknowns after one step of the solver at each damping; the only place that knows how a step is made."""
     centres = np.asarray(block.exterior.projection_centre)
     arrangement = arrange(block.structure, block.groups, centres, devices, reduced)
     block = block.moved(-jnp.mean(block.exterior.projection_centre, 0))
-    start, given = arranged_unknowns(arrangement, unknowns_of(block)), problem(arrangement, block)
-    step = eqx.filter_jit(lambda *given: trial_step(*given).unknowns)
-    return [restored_unknowns(arrangement, step(start, given, jnp.asarray(damping))) for damping in dampings]
+    start, args = (
+        arranged_unknowns(arrangement, unknowns_of(block)),
+        Arguments(problem(arrangement, block), AngleRule()),
+    )
+    solver = BundleSolver(FullStep())  # which takes whatever step it is given
+    stepped = []
+    for damping in dampings:
+        state = eqx.tree_at(lambda s: s.search.damping, solver.first(), jnp.array(damping))
+        stepped.append(restored_unknowns(arrangement, run(solver, start, args, state, 1, optimised=False)[0]))
+    return stepped
 
 
 def changed(block: Block, **changes: object) -> Block:
@@ -107,8 +115,7 @@ def block(request) -> Block:
     return BLOCKS[request.param](small_block().block)
 
 
-@pytest.mark.parametrize(("reduced", "devices"), [("dense", 1), ("panels", 1), ("panels", 2)])
-def test_steps(block, reduced, devices):
+def assert_dense_steps(block: Block, reduced: Method, devices: int = 1) -> None:
     """From approximate values far off, at dampings from none to a gradient step."""
     unknowns, observations = centred(block)
     system = dense_system(unknowns, observations)
@@ -122,17 +129,28 @@ def test_steps(block, reduced, devices):
         assert np.linalg.norm(system.lengths * off) < allowed, damping
 
 
+def test_steps(block):
+    assert_dense_steps(block, "auto")
+
+
+@pytest.mark.parametrize("devices", [1, 2])
+def test_steps_in_panels(devices):
+    assert_dense_steps(with_distances(small_block().block), "panels", devices)
+
+
 def test_standard_deviations(block):
     """At the minimum, the attitudes in the user's angles."""
-    adjustment = adjust(block)
+    adjustment = adjust(block, method="gauss-newton")
+    assert adjustment.trustworthy
     unknowns, observations = centred(adjustment.block)
-    q = dense_cofactors(unknowns, observations)
-    expected = float(adjustment.sigma0) * np.sqrt(np.diagonal(q))
+    expected = float(adjustment.sigma0) * np.sqrt(np.diagonal(dense_cofactors(unknowns, observations)))
     sd = adjustment.standard_deviations
-    exterior = np.concatenate([sd.projection_centre.T, sd.angles.T])
-    interior = np.asarray(sd.interior).T[np.array(observations.columns, int)]
-    fields = exterior, interior, np.asarray(sd.object_points).T
-    found = np.concatenate([field[mask] for field, mask in zip(fields, masks(observations), strict=True)])
+    interior = jnp.pad(sd.interior, ((0, 0), (0, unknowns.interior.shape[0] - sd.interior.shape[1])))
+    found = free_values(sd.projection_centre.T, sd.angles.T, interior.T, sd.object_points.T, observations)
     np.testing.assert_allclose(found, expected, rtol=1e-9)
-    for field, mask in zip(fields, masks(observations), strict=True):
-        assert not np.asarray(field)[~mask].any()  # what is held has none
+    exterior_free, interior_free, point_free = masks(observations)
+    held = exterior_free.T, interior_free.T, point_free.T
+    exterior = np.hstack([sd.projection_centre, sd.angles])
+    columns = np.asarray(sd.interior)[:, np.array(observations.columns, int)]
+    for values, free in zip((exterior, columns, np.asarray(sd.object_points)), held, strict=True):
+        assert not values[~free].any()  # what is held has none

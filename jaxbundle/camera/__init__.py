@@ -1,0 +1,1 @@
+"""The image equation and the camera models."""

@@ -1,0 +1,1 @@
+"""The normal equations: rows by autodiff, elimination of the points, reduced equations, cofactors."""

@@ -59,9 +59,10 @@ class PanelCholesky(AbstractImageFactor[Tiles]):
 
     def pivots(self, factor: Tiles, images: int, d: int) -> Float[Array, "image d"]:
         part = self._part()
-        separator = factor[part.end_tiles : part.end_tiles + part.panels - part.end_panels]
-        diagonal = jnp.concatenate([factor[: part.end_panels], separator])
-        shares = 1 / jnp.diagonal(diagonal, axis1=1, axis2=2) ** 2
+        panel = jnp.arange(part.panels)
+        tile = jnp.where(panel < part.end_panels, panel, panel - part.end_panels + part.end_tiles)
+        inverse = jnp.diagonal(factor, axis1=1, axis2=2).at[tile].get(mode="fill", fill_value=1.0)
+        shares = 1 / inverse**2
         return self._to_images(part, shares[..., None], d)[..., 0]
 
     def forward(self, factor: Tiles, right: Float[Array, "image d k"]) -> Float[Array, "image d k"]:

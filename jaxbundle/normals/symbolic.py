@@ -61,13 +61,13 @@ class _Lists(NamedTuple):
 
 
 def tile_grid(count: int) -> int:
-    """Padded number of tiles, or of panels."""
+    """Padded number of tiles."""
     return grid_size(count, 4, 1.25)
 
 
 def list_grid(count: int) -> int:
     """Padded length of a list, which costs next to nothing."""
-    return grid_size(count, 8, 2.0)
+    return grid_size(count, 8, 4.0)
 
 
 def fill(panels: Int[np.ndarray, "pair 2"], count: int) -> Bool[np.ndarray, "panel panel"]:
@@ -123,9 +123,8 @@ def _padded(arrays: list, length: int, value: int = 0) -> Array:
     return jnp.asarray(np.stack(out))
 
 
-def _columns(lists: list[_Lists], blocks: list[np.ndarray], waste: int, tiles: int) -> Columns:
+def _columns(lists: list[_Lists], blocks: list[np.ndarray], columns: int, tiles: int, waste: int) -> Columns:
     """The padded lists of all parts."""
-    columns = tile_grid(max(s.columns for s in lists))
     return Columns(
         jnp.asarray([s.columns for s in lists], jnp.int32),
         _padded([s.first_below for s in lists], columns + 1),
@@ -149,10 +148,11 @@ def symbolic(
     split = len(parts[0]) > 0
     ends = [parts[g] if g < 2 else parts[0][:0] for g in range(devices)] if split else []
     tiles_of = [int(tiles[:, p].sum()) for p in (*ends, parts[2])]
-    end_panels = tile_grid(max(len(p) for p in ends)) if split else 0
+    columns = -(-images // q)
+    end_panels = columns if split else 0
     end_tiles = tile_grid(max(tiles_of[:-1])) if split else 0
     tile_count = end_tiles + tile_grid(tiles_of[-1])
-    panel_count = end_panels + tile_grid(len(parts[2]))
+    panel_count = end_panels + columns
 
     lists, blocks, positions, pair_places = [], [], [], []
     for g, own in enumerate(ends or [parts[0]]):
@@ -169,8 +169,8 @@ def symbolic(
         blocks.append((block[: used[0]], block[end_tiles : end_tiles + used[1]]))
         positions.append(np.where(panel_number[panel] < panel_count, panel_number[panel] * q + place, panel_count * q))
     return PanelStructure(
-        _columns([s for s, _ in lists], [b for b, _ in blocks], pool - 1, end_tiles) if split else None,
-        _columns([s for _, s in lists], [b for _, b in blocks], pool - 1, tile_count - end_tiles),
+        _columns([s for s, _ in lists], [b for b, _ in blocks], columns, end_tiles, pool - 1) if split else None,
+        _columns([s for _, s in lists], [b for _, b in blocks], columns, tile_count - end_tiles, pool - 1),
         _padded(positions, images, panel_count * q),
         _padded(pair_places, pool, tile_count),
     )

@@ -1,0 +1,1 @@
+"""What all computing rests on: double precision, compilation, padded shapes."""

@@ -1,0 +1,1 @@
+"""The adjustment: search, stopping rules, solver, answer."""
