@@ -7,39 +7,114 @@
     result = jb.adjust(block)
     print(result.summary())
     result.standard_deviations.object_points
+
+Names are loaded when they are first used: the help of the command line does not wait for JAX.
 """
 
-from jaxbundle.block.block import (
-    Block,
-    Camera,
-    CheckPoints,
-    Datum,
-    ExteriorOrientation,
-    InteriorOrientation,
-    Rays,
-    Structure,
-)
-from jaxbundle.block.changes import with_interior_held
-from jaxbundle.block.datum import DatumDefect, datum_defect, with_datum
-from jaxbundle.block.observations import (
-    CONTROL,
-    DISTANCES,
-    STATIONS,
-    ObservationGroup,
-    ObservationKind,
-    observation_group,
-)
-from jaxbundle.block.problems import BlockError, Problem
-from jaxbundle.block.validate import validate
-from jaxbundle.camera.collinearity import collinearity
-from jaxbundle.camera.model import CAMERA_MODELS, CameraModel
-from jaxbundle.io import read, read_bal, read_block_folder, write_bal, write_block_folder
-from jaxbundle.planning.simulate import Simulation, simulate
-from jaxbundle.report import report_dict, report_text, write_report
-from jaxbundle.solve.adjust import Progress, adjust
-from jaxbundle.solve.adjustment import Adjustment, Status
-from jaxbundle.solve.stopping import AngleRule, PointRule, parallax_rule, unknown_rule
-from jaxbundle.textbook import crosscheck
+import importlib
+from typing import TYPE_CHECKING, Any
+
+if TYPE_CHECKING:
+    from jaxbundle.block.block import (
+        Block,
+        Camera,
+        CheckPoints,
+        Datum,
+        ExteriorOrientation,
+        InteriorOrientation,
+        Rays,
+        Structure,
+    )
+    from jaxbundle.block.changes import with_interior_held
+    from jaxbundle.block.datum import DatumDefect, datum_defect, with_datum
+    from jaxbundle.block.observations import (
+        CONTROL,
+        DISTANCES,
+        STATIONS,
+        ObservationGroup,
+        ObservationKind,
+        observation_group,
+    )
+    from jaxbundle.block.problems import BlockError, Problem
+    from jaxbundle.block.validate import validate
+    from jaxbundle.camera.collinearity import collinearity
+    from jaxbundle.camera.model import CAMERA_MODELS, CameraModel
+    from jaxbundle.io import read, read_bal, read_block_folder, write_bal, write_block_folder
+    from jaxbundle.planning.simulate import Simulation, simulate
+    from jaxbundle.report import report_dict, report_text, write_report
+    from jaxbundle.solve.adjust import Progress, adjust
+    from jaxbundle.solve.adjustment import Adjustment, Status
+    from jaxbundle.solve.stopping import AngleRule, PointRule, parallax_rule, unknown_rule
+    from jaxbundle.textbook import crosscheck
+
+_MODULES = {
+    "block.block": (
+        "Block",
+        "Camera",
+        "CheckPoints",
+        "Datum",
+        "ExteriorOrientation",
+        "InteriorOrientation",
+        "Rays",
+        "Structure",
+    ),
+    "block.changes": ("with_interior_held",),
+    "block.datum": (
+        "DatumDefect",
+        "datum_defect",
+        "with_datum",
+    ),
+    "block.observations": (
+        "CONTROL",
+        "DISTANCES",
+        "STATIONS",
+        "ObservationGroup",
+        "ObservationKind",
+        "observation_group",
+    ),
+    "block.problems": (
+        "BlockError",
+        "Problem",
+    ),
+    "block.validate": ("validate",),
+    "camera.collinearity": ("collinearity",),
+    "camera.model": (
+        "CAMERA_MODELS",
+        "CameraModel",
+    ),
+    "io": (
+        "read",
+        "read_bal",
+        "read_block_folder",
+        "write_bal",
+        "write_block_folder",
+    ),
+    "planning.simulate": (
+        "Simulation",
+        "simulate",
+    ),
+    "report": (
+        "report_dict",
+        "report_text",
+        "write_report",
+    ),
+    "solve.adjust": (
+        "Progress",
+        "adjust",
+    ),
+    "solve.adjustment": (
+        "Adjustment",
+        "Status",
+    ),
+    "solve.stopping": (
+        "AngleRule",
+        "PointRule",
+        "parallax_rule",
+        "unknown_rule",
+    ),
+    "textbook": ("crosscheck",),
+}
+_HOME = {name: module for module, names in _MODULES.items() for name in names}
 
 __all__ = [
     "CAMERA_MODELS",
@@ -86,3 +161,9 @@ __all__ = [
     "write_block_folder",
     "write_report",
 ]
+
+
+def __getattr__(name: str) -> Any:
+    if name not in _HOME:
+        raise AttributeError(f"module 'jaxbundle' has no attribute {name!r}")
+    return getattr(importlib.import_module(f"jaxbundle.{_HOME[name]}"), name)

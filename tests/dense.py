@@ -15,6 +15,7 @@ from jaxbundle.block.block import Block
 from jaxbundle.block.residuals import Observations, observations_of, weighted_residuals
 from jaxbundle.block.unknowns import Correction, Unknowns, corrected, unknowns_of
 from jaxbundle.geometry import rotation
+from jaxbundle.numerics.compilation import QUICKLY
 
 
 class System(NamedTuple):
@@ -89,9 +90,13 @@ def residual_vector(unknowns: Unknowns, o: Observations, d: Float[Array, " free"
 
 def dense_system(unknowns: Unknowns, o: Observations) -> System:
     """Design matrix and residuals at the unknowns."""
-    zero = jnp.zeros(free_count(o))
-    at = jax.jit(lambda d: residual_vector(unknowns, o, d))
-    return System(np.asarray(jax.jit(jax.jacfwd(at))(zero)), np.asarray(at(zero)))
+
+    def both(zero: Float[Array, " free"]) -> tuple[Array, Array]:
+        v, linear = jax.linearize(lambda d: residual_vector(unknowns, o, d), zero)
+        return jax.vmap(linear, out_axes=1)(jnp.eye(len(zero))), v
+
+    design, v = jax.jit(both, compiler_options=QUICKLY)(jnp.zeros(free_count(o)))
+    return System(np.asarray(design), np.asarray(v))
 
 
 def dense_step(system: System, damping: float) -> Float[np.ndarray, " free"]:

@@ -6,8 +6,8 @@ import numpy as np
 import pytest
 
 from jaxbundle.camera.collinearity import photo_vector
-from jaxbundle.numerics.precision import require_float64
 from jaxbundle.geometry.rotation import from_alpha_omega_kappa
+from jaxbundle.numerics.precision import require_float64
 from jaxbundle.textbook import crosscheck, orthonormality_defect, printed_matrix, printed_partials, regular_partials
 from jaxbundle.textbook.crosscheck import THRESHOLD
 from jaxbundle.textbook.partials import NAMES

@@ -13,6 +13,7 @@ from functools import cached_property
 import equinox as eqx
 import jax
 import numpy as np
+from jax.core import Tracer
 from jaxtyping import Array, Bool, Float, Int
 
 from jaxbundle.block.observations import ObservationGroup
@@ -153,7 +154,7 @@ class Block(eqx.Module):
     @property
     def concrete(self) -> bool:
         """Whether the values are numbers, not tracers of a jit, grad or vmap."""
-        return not any(isinstance(leaf, jax.core.Tracer) for leaf in jax.tree.leaves(self))
+        return not any(isinstance(leaf, Tracer) for leaf in jax.tree.leaves(self))
 
     def moved(self, shift: Float[Array, "3"]) -> "Block":
         """The same block in an object system whose origin lies at -shift: every coordinate grows by `shift`."""

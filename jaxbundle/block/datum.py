@@ -98,7 +98,7 @@ def _null_space(matrix: Float[np.ndarray, "row column"]) -> Float[np.ndarray, "c
 def datum_defect(block: Block) -> DatumDefect:
     """What the control, the observed stations, the distances and the held elements leave undetermined."""
     structure = block.structure
-    fixed, held = ~structure.point_free.all(1), ~structure.exterior_free.all(1)
+    fixed, held = (~structure.point_free).sum(1) > 0, (~structure.exterior_free).sum(1) > 0
     if not (fixed.any() or held.any() or block.groups):
         return DatumDefect(7, "origin, axes and scale")
     centred = block.moved(-jnp.mean(block.object_points, 0))

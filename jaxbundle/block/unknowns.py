@@ -93,8 +93,8 @@ def attitude_derivatives(
     matrix: Float[Array, "9 image"], in_angles: Bool[Array, " image"] | None, system: RotationSystem
 ) -> Float[Array, "9 3 image"]:
     """Derivatives of the rotation matrices with respect to the three angles their corrections are made in."""
-    zero = (jnp.zeros_like(matrix[0]),) * 3
-    small = _columns(lambda *angles: _small_rotation(tuple(matrix), *angles), zero)
+    zero = jnp.zeros_like(matrix[0])
+    small = _columns(lambda *angles: _small_rotation(tuple(matrix), *angles), (zero, zero, zero))
     if in_angles is None:
         return small
     own = _columns(system.rotation_from_angles, system.angles_from_rotation(tuple(matrix)))
@@ -144,6 +144,6 @@ def angle_derivatives(
 
     Not finite at the singular attitude of the user's system, where the outer two angles are not determined.
     """
-    zero = (jnp.zeros_like(matrix[0]),) * 3
-    small = _columns(lambda *k: angles_near(_small_rotation(tuple(matrix), *k), reference, system), zero)
+    zero = jnp.zeros_like(matrix[0])
+    small = _columns(lambda *k: angles_near(_small_rotation(tuple(matrix), *k), reference, system), (zero, zero, zero))
     return small if in_angles is None else jnp.where(in_angles, jnp.eye(3)[:, :, None], small)

@@ -9,9 +9,9 @@ from dataclasses import dataclass
 from typing import NamedTuple
 
 import equinox as eqx
-import jax
 import jax.numpy as jnp
 import numpy as np
+from jax.core import Tracer
 from jaxtyping import Array, Bool, Float, Int
 
 from jaxbundle.block.block import Block, Structure
@@ -227,7 +227,7 @@ def arrange(
 
 def _spread(values, index: Int[np.ndarray, " entity"], size: int, filling: float):
     """Columns of `values` put to their places among `size`; the other places hold `filling`."""
-    xp = jnp if isinstance(values, jax.core.Tracer) else np
+    xp = jnp if isinstance(values, Tracer) else np
     source = np.full(size, values.shape[1])
     source[index] = np.arange(values.shape[1])
     return xp.concatenate([values, xp.full((values.shape[0], 1), filling, values.dtype)], 1)[:, source]

@@ -41,7 +41,7 @@ class Chunk(NamedTuple):
     used: Bool[Array, "slot column"]
 
     @property
-    def count(self) -> Int[Array, ""]:
+    def tile_count(self) -> Int[Array, ""]:
         """Number of tiles."""
         return self.tile[-1] + 1
 

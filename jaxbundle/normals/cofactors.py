@@ -7,7 +7,8 @@ With T the tile's part of Q_kk below the diagonal and half of it on the diagonal
 images of a tile that share no point have no block in the pool, and need none.
 """
 
-from typing import NamedTuple
+from functools import partial
+from typing import Any, NamedTuple
 
 import jax
 import jax.numpy as jnp
@@ -21,7 +22,7 @@ from jaxbundle.normals.eliminate import Eliminated, border_rows, coupling_rows, 
 from jaxbundle.normals.point_blocks import PointFactor, backward
 from jaxbundle.normals.reduced_system import ReducedCofactors, ReducedSystem, factorise
 from jaxbundle.normals.reduced_system import cofactors as reduced_cofactors
-from jaxbundle.normals.step import AXIS, Linearised, linearise, local_tiles, partition, reduced_system
+from jaxbundle.normals.step import AXIS, Linearised, device_mesh, linearise, local_tiles, partition, reduced_system
 from jaxbundle.normals.tiles import CLASSES, MOST_TILES, SLOTS
 
 
@@ -44,15 +45,15 @@ def cofactors(unknowns: Arranged, p: Problem) -> Cofactors:
     linear, free = linearise(unknowns, p), p.free_tiles
     if p.devices == 1:
         return _on_device(unknowns, linear, p, free, None)
-    everywhere, of_tiles = PartitionSpec(), PartitionSpec(None, AXIS)
-    out = Cofactors(
-        *[everywhere] * 3, PartitionSpec(None, None, AXIS), *[everywhere] * 2, PartitionSpec(AXIS), everywhere
-    )
+    everywhere: Any = PartitionSpec()
+    points: Any = PartitionSpec(None, None, AXIS)
+    pivots: Any = PartitionSpec(AXIS)
+    out = Cofactors(everywhere, everywhere, everywhere, points, everywhere, everywhere, pivots, everywhere)
     unknown_parts, linear_parts, problem_parts = partition(unknowns, linear, p)
     return jax.shard_map(
-        lambda *args: _on_device(*args, AXIS),
-        mesh=jax.make_mesh((p.devices,), (AXIS,)),
-        in_specs=(unknown_parts, linear_parts, problem_parts, of_tiles),
+        partial(_on_device, axis=AXIS),
+        mesh=device_mesh(p.devices),
+        in_specs=(unknown_parts, linear_parts, problem_parts, PartitionSpec(None, AXIS)),
         out_specs=out,
         check_vma=False,
     )(unknowns, linear, p, free)
@@ -82,7 +83,7 @@ def _points(
     def do_chunk(c: Array, store: Array) -> Array:
         e = eliminate_chunk(o, linear.table, unknowns.tiles, linear.prior, free, jnp.zeros(()), tiles, c)
         coupling = coupling_rows(e, 0, d)
-        m = _tile_products(coupling, halved, tiles, c, e.chunk.count, d, n)
+        m = _tile_products(coupling, halved, tiles, c, e.chunk.tile_count, d, n)
         if inner:
             eb = border_rows(e, o, shape)
             at_slot = jnp.take(eb, e.chunk.tile, axis=0, mode="clip")

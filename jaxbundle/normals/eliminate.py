@@ -189,7 +189,7 @@ def eliminate(
         e = eliminate_chunk(observations, table, points, prior, free, damping, tiles, c)
         image = sums.image.at[e.chunk.slot_image].add(_image_products(e), mode="promise_in_bounds")
         coupling = coupling_rows(e, 0, d)
-        pool = _add_tile_products(sums.pool, coupling, tiles, c, e.chunk.count, d)
+        pool = _add_tile_products(sums.pool, coupling, tiles, c, e.chunk.tile_count, d)
         sums = sums._replace(pool=pool, image=image)
         if border:
             eb = border_rows(e, observations, shape)

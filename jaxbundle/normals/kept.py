@@ -43,8 +43,8 @@ class _Touched(NamedTuple):
     """Rows (component, parameter, member) of one touched entity: in an image's block or in columns of the border."""
 
     rows: Float[Array, "component parameter member"]
-    image: Int[Array, " member"] | None
-    columns: Int[Array, "member parameter"] | None
+    in_border: bool
+    at: Int[Array, "member *parameter"]  # image of each member, or columns of the border
 
 
 def no_sums(images: int, d: int, border: int, pool: int | None) -> KeptSums:
@@ -65,23 +65,23 @@ def add_rows(
     """Adds observations. `pairs`: the pool's block of the first two touched images, where they are two."""
     for i, a in enumerate(touched):
         gradient = jnp.einsum("cpm,cm->mp", a.rows, residuals)
-        if a.image is None:
-            sums = sums._replace(border_gradient=sums.border_gradient.at[a.columns].add(gradient, mode="drop"))
+        if a.in_border:
+            sums = sums._replace(border_gradient=sums.border_gradient.at[a.at].add(gradient, mode="drop"))
         else:
-            sums = sums._replace(gradient=sums.gradient.at[a.image].add(gradient))
+            sums = sums._replace(gradient=sums.gradient.at[a.at].add(gradient))
         for j, b in enumerate(touched):
             products = jnp.einsum("cpm,cqm->mpq", a.rows, b.rows)
-            if a.image is None and b.image is None:
-                index = a.columns[:, :, None], b.columns[:, None, :]
-                sums = sums._replace(border=sums.border.at[index].add(products, mode="drop"))
-            elif a.image is not None and b.image is None:
-                index = a.image[:, None, None], jnp.arange(products.shape[1])[:, None], b.columns[:, None, :]
-                sums = sums._replace(coupling=sums.coupling.at[index].add(products, mode="drop"))
-            elif a.image is not None and b.image is not None:
-                same = (a.image == b.image)[:, None, None]
-                sums = sums._replace(diagonal=sums.diagonal.at[a.image].add(jnp.where(same, products, 0.0)))
+            if a.in_border and b.in_border:
+                where = a.at[:, :, None], b.at[:, None, :]
+                sums = sums._replace(border=sums.border.at[where].add(products, mode="drop"))
+            elif b.in_border:
+                where = a.at[:, None, None], jnp.arange(products.shape[1])[:, None], b.at[:, None, :]
+                sums = sums._replace(coupling=sums.coupling.at[where].add(products, mode="drop"))
+            elif not a.in_border:
+                same = (a.at == b.at)[:, None, None]
+                sums = sums._replace(diagonal=sums.diagonal.at[a.at].add(jnp.where(same, products, 0.0)))
                 if i != j and sums.pool is not None:
-                    lower = (a.image > b.image)[:, None, None]
+                    lower = (a.at > b.at)[:, None, None]
                     sums = sums._replace(pool=sums.pool.at[pairs].add(jnp.where(lower, products, 0.0)))
     return sums
 
@@ -98,12 +98,12 @@ def _touched_by_group(
     touched = []
     for kind, index, row in zip(group.kind.touches, group.indices, rows.rows, strict=True):
         if kind == "image":
-            touched.append(_Touched(_padded_rows(row, 0, shape.image), index, None))
+            touched.append(_Touched(_padded_rows(row, 0, shape.image), False, index))
         elif kind == "camera" and not shape.shared:
-            touched.append(_Touched(_padded_rows(row, 6, shape.image), camera_image[index], None))
+            touched.append(_Touched(_padded_rows(row, 6, shape.image), False, camera_image[index]))
         else:
             first = point_column[index] if kind == "point" else shape.shared * index
-            touched.append(_Touched(row, None, first[:, None] + jnp.arange(row.shape[1])))
+            touched.append(_Touched(row, True, first[:, None] + jnp.arange(row.shape[1])))
     return touched
 
 
@@ -166,10 +166,10 @@ def add_kept_rays(
     of_point = jnp.stack([jnp.stack(row) for row in rows.point])
     first = shape.shared * shape.cameras + 3 * rays.point
     touched = [
-        _Touched(of_image[:, : shape.image], rays.image, None),
-        _Touched(of_point, None, first[:, None] + jnp.arange(3)),
+        _Touched(of_image[:, : shape.image], False, rays.image),
+        _Touched(of_point, True, first[:, None] + jnp.arange(3)),
     ]
     if shape.shared:
         columns = shape.shared * camera[:, None] + jnp.arange(shape.shared)
-        touched.append(_Touched(of_image[:, shape.image :], None, columns))
+        touched.append(_Touched(of_image[:, shape.image :], True, columns))
     return add_rows(sums, touched, jnp.stack(rows.residual), None)

@@ -8,10 +8,12 @@ from typing import NamedTuple
 
 import jax.numpy as jnp
 from jax import lax
+from jaxtyping import Array, Bool
 
 from jaxbundle.camera.collinearity import Vector
 from jaxbundle.geometry.rotation import Scalar
 
+Truth = Bool[Array, "..."]
 Symmetric = tuple[Scalar, Scalar, Scalar, Scalar, Scalar, Scalar]  # 00, 01, 02, 11, 12, 22
 
 
@@ -26,10 +28,10 @@ class PointFactor(NamedTuple):
     l21: Scalar
 
 
-def factorise(v: Symmetric, free: Vector) -> PointFactor:
+def factorise(v: Symmetric, free: tuple[Truth, Truth, Truth]) -> PointFactor:
     """Cholesky factor of V; `free` is true where the coordinate is unknown. Not finite where V is not positive."""
 
-    def inverse_root(pivot: Scalar, free: Scalar) -> Scalar:
+    def inverse_root(pivot: Scalar, free: Truth) -> Scalar:
         return jnp.where(free, lax.rsqrt(jnp.where(free, pivot, 1.0)), 0.0)
 
     i0 = inverse_root(v[0], free[0])

@@ -16,7 +16,7 @@ from jaxbundle.numerics.shapes import grid_size
 
 Method = Literal["auto", "dense", "panels"]
 DENSE_UNKNOWNS = 160  # measured: up to here one dense matrix is as fast as tiles, and it compiles in half the time
-SMALL_UNKNOWNS, SMALL_ROWS, ROWS = 1000, 72, 144  # measured: 72 rows a tile are faster up to 1000 unknowns, 144 beyond
+SMALL_UNKNOWNS, SMALL_ROWS, ROWS = 2500, 72, 144  # measured: 72 rows a tile are faster up to 2500 unknowns, 144 beyond
 
 
 @dataclass(frozen=True)

@@ -5,7 +5,8 @@
 The tiles are dealt to the devices, the sums over the images added up over them; all solve the reduced equations.
 """
 
-from typing import NamedTuple
+from functools import partial
+from typing import Any, NamedTuple
 
 import equinox as eqx
 import jax
@@ -122,7 +123,7 @@ def correction_of(
 
 def direction_of(correction: Correction, turns: Float[Array, "9 3 image"]) -> Unknowns:
     """The correction as a direction in the space of the unknowns."""
-    turned = sum(turns[:, k] * correction.exterior[3 + k] for k in range(3))
+    turned = jnp.sum(turns * correction.exterior[3:], 1)
     return Unknowns(turned, correction.exterior[:3], correction.interior, correction.points)
 
 
@@ -169,6 +170,11 @@ def _on_device(
     )
 
 
+def device_mesh(devices: int) -> jax.sharding.Mesh:
+    """The devices the tiles are dealt to."""
+    return jax.make_mesh((devices,), (AXIS,), axis_types=(jax.sharding.AxisType.Auto,))
+
+
 def local_tiles(tiles: Tiles) -> Tiles:
     """A device's own tiles: the leading axis, of length 1 there, taken off."""
     return eqx.tree_at(
@@ -208,7 +214,7 @@ def partition(unknowns: Arranged, linear: Linearised, p: Problem) -> tuple[Arran
     def whole(tree):
         return jax.tree.map(lambda _: PartitionSpec(), tree)
 
-    of_tiles = PartitionSpec(None, AXIS)
+    of_tiles: Any = PartitionSpec(None, AXIS)
     parts = jax.tree.map(lambda _: PartitionSpec(AXIS), p.tiles)
     tiles = eqx.tree_at(lambda t: t.pair, parts, PartitionSpec())
     return (
@@ -219,12 +225,13 @@ def partition(unknowns: Arranged, linear: Linearised, p: Problem) -> tuple[Arran
 
 
 def _on_devices(unknowns: Arranged, linear: Linearised, damping: Array, p: Problem, free: Array) -> _RayPart:
-    everywhere, of_tiles = PartitionSpec(), PartitionSpec(None, AXIS)
+    everywhere: Any = PartitionSpec()
+    of_tiles: Any = PartitionSpec(None, AXIS)
     unknown_parts, linear_parts, problem_parts = partition(unknowns, linear, p)
     out_specs = _RayPart(unknown_parts.images, of_tiles, *[everywhere] * 5)
     return jax.shard_map(
-        lambda *args: _on_device(*args, AXIS),
-        mesh=jax.make_mesh((p.devices,), (AXIS,)),
+        partial(_on_device, axis=AXIS),
+        mesh=device_mesh(p.devices),
         in_specs=(unknown_parts, linear_parts, everywhere, problem_parts, of_tiles),
         out_specs=out_specs,
         check_vma=False,

@@ -64,15 +64,15 @@ def substitute(
         old, along, new = (_split(numbers[k * width : (k + 1) * width]) for k in range(3))
         tile = chunk.first_tile + chunk.tile
         point = points_at_cells(chunk, list(points), tile, old[0], old[1])
-        v, moved = jax.jvp(lambda *image: image_equation(model, *image, point, chunk.measured), old, along)
-        _, transposed = jax.vjp(lambda p: image_equation(model, *old, p, chunk.measured), point)
+        v, moved = jax.jvp(lambda r, x, i: image_equation(model, r, x, i, point, chunk.measured), old, along)
+        _, transposed = jax.vjp(lambda p: image_equation(model, old[0], old[1], old[2], p, chunk.measured), point)
         (at_points,) = transposed(tuple(w * w * t for w, t in zip(chunk.weights, moved, strict=True)))
         coupled = sum_by_tile(list(at_points), chunk.tile)
 
         stored = chunk.window(factors)
         number = [stored[:, k * n : (k + 1) * n] for k in range(FACTOR)]
         factor, gradient, diagonal = PointFactor(*number[:6]), number[6:9], number[9:]
-        own = (jnp.arange(MOST_TILES) < chunk.count)[:, None]
+        own = (jnp.arange(MOST_TILES) < chunk.tile_count)[:, None]
         x, y, z = (g + t for g, t in zip(gradient, coupled, strict=True))
         dx = [jnp.where(own, -d, 0.0) for d in backward(factor, forward(factor, (x, y, z)))]
         stepped = [chunk.window(x) + d for x, d in zip(carry.points, dx, strict=True)]

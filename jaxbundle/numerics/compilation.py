@@ -21,7 +21,7 @@ class Compiled:
         self._optimised = jax.jit(self._call, static_argnums=0)
         self._quick = jax.jit(self._call, static_argnums=0, compiler_options=QUICKLY)
 
-    def _call(self, static: Hashable, arrays: Any) -> Any:
+    def _call(self, static: tuple[tuple[Hashable, ...], Any], arrays: Any) -> Any:
         leaves, structure = static
         return self.function(*eqx.combine(arrays, jax.tree.unflatten(structure, leaves)))
 

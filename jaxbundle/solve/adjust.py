@@ -4,12 +4,13 @@ import importlib
 from collections.abc import Callable
 from typing import NamedTuple
 
+import equinox as eqx
 import jax
 import jax.numpy as jnp
 import numpy as np
 from jaxtyping import Array, Float
 
-from jaxbundle.block.block import Block
+from jaxbundle.block.block import Block, ExteriorOrientation
 from jaxbundle.block.datum import with_datum
 from jaxbundle.block.residuals import Observations, group_residuals, observations_of, ray_residuals
 from jaxbundle.block.unknowns import (
@@ -105,7 +106,7 @@ def adjust(
     else:
         arguments = Arguments(problem(plan, centred), rule.arranged(plan.order))
         arranged, iterations = _iterate(centred, plan, arguments, method, max_iterations, progress)
-    return _answer(centred, plan, arranged, iterations, origin, rule.name, method, precision)
+    return _answer(block, centred, plan, arranged, iterations, origin, rule.name, method, precision)
 
 
 def _useful_devices(block: Block) -> int:
@@ -156,7 +157,21 @@ def _progress(block: Block, state: State, accepted: bool) -> Progress:
     return Progress(int(state.trials), cost, float(state.used_damping), float(state.step), accepted, sigma0)
 
 
+def _in_user_system(block: Block, adjusted: Block) -> Block:
+    """The adjusted block with what was given exactly as it was given: the shift of the origin rounds."""
+    points = jnp.where(jnp.asarray(block.structure.point_free), adjusted.object_points, block.object_points)
+    free = jnp.asarray(block.structure.exterior_free)
+    centre = jnp.where(free[:, :3], adjusted.exterior.projection_centre, block.exterior.projection_centre)
+    angles = jnp.where(free[:, 3:], adjusted.exterior.angles, block.exterior.angles)
+    return eqx.tree_at(
+        lambda b: (b.object_points, b.exterior, b.interior),
+        block,
+        (points, ExteriorOrientation(centre, angles), adjusted.interior),
+    )
+
+
 def _answer(
+    user: Block,
     block: Block,
     plan: Arrangement,
     arranged: Arranged,
@@ -177,7 +192,7 @@ def _answer(
         if block.concrete:
             weak = undetermined_unknowns(block.structure, plan, q)
     return Adjustment(
-        with_unknowns(block, unknowns).moved(origin),
+        _in_user_system(user, with_unknowns(block, unknowns).moved(origin)),
         tuple(v.T for v in residuals),
         tuple((v * w).T for v, w in zip(residuals, weights, strict=True)),
         computed,
@@ -204,7 +219,8 @@ def _block_cofactors(block: Block, plan: Arrangement, unknowns: Unknowns, q: Cof
     """Cofactors in the order of the block, the angles turned into those of the user's rotation system."""
     structure, shape = block.structure, plan.shape
     rows = q.images[plan.order.image]
-    in_angles = corrected_in_angles(structure)
+    partly = corrected_in_angles(structure)
+    in_angles = None if partly is None else jnp.asarray(partly)
     reference, system = block.exterior.angles.T, structure.rotation_system
     turned = angle_derivatives(unknowns.rotation, in_angles, reference, system).transpose(2, 0, 1)
     to_user = jnp.zeros((len(rows), 6, 6)).at[:, :3, :3].set(jnp.eye(3)).at[:, 3:, 3:].set(turned)

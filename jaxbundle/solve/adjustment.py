@@ -9,6 +9,8 @@ from jaxtyping import Array, Float, Int
 
 from jaxbundle.block.block import Block
 
+MOST_NAMED = 10  # undetermined unknowns in a summary
+
 
 class Status(IntEnum):
     """How the iterations ended."""
@@ -68,8 +70,8 @@ class Adjustment(eqx.Module):
     """
 
     block: Block
-    residuals: tuple[Float[Array, "member component"], ...]
-    weighted_residuals: tuple[Float[Array, "member component"], ...]
+    residuals: tuple[Float[Array, "_member _component"], ...]
+    weighted_residuals: tuple[Float[Array, "_member _component"], ...]
     cofactors: BlockCofactors | None
     iterations: Iterations
     stopping_rule: str = eqx.field(static=True)
@@ -147,17 +149,28 @@ class Adjustment(eqx.Module):
     def summary(self) -> str:
         """The result in a few lines; the report says the rest."""
         structure, n = self.block.structure, self.iterations
+        counts = (
+            _counted(len(structure.image_names), "image"),
+            _counted(len(structure.cameras), "camera"),
+            _counted(len(structure.point_names), "point"),
+            _counted(len(structure.ray_image), "ray"),
+        )
         lines = [
-            f"Block {structure.name or '(unnamed)'}: {len(structure.image_names)} images,"
-            f" {len(structure.cameras)} cameras, {len(structure.point_names)} points, {len(structure.ray_image)} rays",
+            f"Block {structure.name or '(unnamed)'}: {', '.join(counts)}",
             f"The adjustment {self.status.words} ({self.method}, {int(n.accepted)} steps of {int(n.trials)} tried,"
             f" stopping rule {self.stopping_rule}: {float(n.measure):.1e})",
             f"Observations {self.observations}, unknowns {self.unknowns}, redundancy {self.redundancy}",
             f"Datum: {structure.datum}",
             f"vTPv {float(n.initial_cost) * 2:.8g} -> {float(self.vtpv):.8g}, sigma0 {float(self.sigma0):.6g}",
-            *(f"Undetermined: {name}" for name in self.undetermined),
+            *(f"Undetermined: {name}" for name in self.undetermined[:MOST_NAMED]),
         ]
+        if len(self.undetermined) > MOST_NAMED:
+            lines.append(f"... and {len(self.undetermined) - MOST_NAMED} more")
         return "\n".join(lines)
+
+
+def _counted(number: int, noun: str) -> str:
+    return f"{number} {noun}{'' if number == 1 else 's'}"
 
 
 def _roots(cofactors: Float[Array, "entity k k"]) -> Float[Array, "entity k"]:

@@ -51,10 +51,15 @@ class State(NamedTuple):
 class BundleSolver(optx.AbstractLeastSquaresSolver[Arranged, Any, Any, State]):
     """Block-sparse least squares for `optx.least_squares`; `options["state"]` continues an interrupted solve."""
 
+    rtol: float
+    atol: float
+    norm: Any = eqx.field(static=True)
     search: AbstractSearch
-    rtol: float = 0.0
-    atol: float = 0.0
-    norm: Any = eqx.field(static=True, default=optx.max_norm)
+
+    def __init__(self, search: AbstractSearch):
+        # optimistix asks for these; the stopping rule travels in `args`
+        self.rtol, self.atol, self.norm = 0.0, 0.0, optx.max_norm
+        self.search = search
 
     def first(self) -> State:
         """The state before the first step."""

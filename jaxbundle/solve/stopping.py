@@ -7,7 +7,7 @@ unknown    the largest change of the named unknowns < delta, each in its own uni
 """
 
 import abc
-from typing import NamedTuple
+from typing import ClassVar, NamedTuple
 
 import equinox as eqx
 import jax.numpy as jnp
@@ -34,7 +34,7 @@ class StepTaken(NamedTuple):
 class AbstractStoppingRule(eqx.Module):
     """A rule measures an accepted step; the solve ends where the measure falls to the limit or below."""
 
-    name: eqx.AbstractClassVar[str]
+    name: ClassVar[str]
     limit: eqx.AbstractVar[float]
 
     @abc.abstractmethod
@@ -49,7 +49,7 @@ class AbstractStoppingRule(eqx.Module):
 class AngleRule(AbstractStoppingRule):
     """|J d| <= limit |v|, after Boerlin & Grussenmeyer (2013): |J d| is what a step still moves the residuals."""
 
-    name = "angle"
+    name: ClassVar[str] = "angle"
     limit: float = 1e-8
 
     def measure(self, step: StepTaken) -> Float[Array, ""]:
@@ -60,7 +60,7 @@ class PointRule(AbstractStoppingRule):
     """Largest change of a coordinate of an object point, object unit."""
 
     limit: float
-    name = "points"
+    name: ClassVar[str] = "points"
 
     def measure(self, step: StepTaken) -> Float[Array, ""]:
         return jnp.max(jnp.abs(step.after.points - step.before.points))
@@ -73,7 +73,7 @@ class ParallaxRule(AbstractStoppingRule):
     first_ray: Int[Array, " pair"]
     second_ray: Int[Array, " pair"]
     rays: Observations
-    name = "parallax"
+    name: ClassVar[str] = "parallax"
 
     def measure(self, step: StepTaken) -> Float[Array, ""]:
         before = jnp.max(jnp.abs(self.parallax(step.before)))
@@ -108,7 +108,7 @@ class UnknownRule(AbstractStoppingRule):
     exterior: Bool[Array, "6 image"]
     interior: Bool[Array, "element camera"]
     points: Bool[Array, "3 point"]
-    name = "unknown"
+    name: ClassVar[str] = "unknown"
 
     def arranged(self, order: Order) -> "UnknownRule":
         masks = (
