@@ -11,14 +11,14 @@ from dataclasses import dataclass, field
 from functools import cached_property
 
 import equinox as eqx
-import jax
+import jax.numpy as jnp
 import numpy as np
-from jax.core import Tracer
 from jaxtyping import Array, Bool, Float, Int
 
 from jaxbundle.block.observations import ObservationGroup
 from jaxbundle.camera.model import CameraModel, mixture
 from jaxbundle.geometry.rotation import OMEGA_PHI_KAPPA, RotationSystem
+from jaxbundle.numerics.host import is_concrete, on_host
 
 CENTRE_ELEMENTS = ("X0", "Y0", "Z0")
 
@@ -154,12 +154,17 @@ class Block(eqx.Module):
     @property
     def concrete(self) -> bool:
         """Whether the values are numbers, not tracers of a jit, grad or vmap."""
-        return not any(isinstance(leaf, Tracer) for leaf in jax.tree.leaves(self))
+        return is_concrete(self)
 
     def moved(self, shift: Float[Array, "3"]) -> "Block":
         """The same block in an object system whose origin lies at -shift: every coordinate grows by `shift`."""
+        shift = on_host(shift)
+
+        def moved(coordinates: Float[Array, "entity 3"]) -> Float[Array, "entity 3"]:
+            return jnp.asarray(on_host(coordinates) + shift)
+
         groups = tuple(
-            eqx.tree_at(lambda g: g.values, group, group.values + shift)
+            eqx.tree_at(lambda g: g.values, group, moved(group.values))
             if group.structure.kind.in_object_system
             else group
             for group in self.groups
@@ -168,9 +173,9 @@ class Block(eqx.Module):
             lambda b: (b.exterior.projection_centre, b.object_points, b.groups, b.check_points.coordinates),
             self,
             (
-                self.exterior.projection_centre + shift,
-                self.object_points + shift,
+                moved(self.exterior.projection_centre),
+                moved(self.object_points),
                 groups,
-                self.check_points.coordinates + shift,
+                moved(self.check_points.coordinates),
             ),
         )

@@ -101,7 +101,7 @@ def datum_defect(block: Block) -> DatumDefect:
     fixed, held = (~structure.point_free).sum(1) > 0, (~structure.exterior_free).sum(1) > 0
     if not (fixed.any() or held.any() or block.groups):
         return DatumDefect(7, "origin, axes and scale")
-    centred = block.moved(-jnp.mean(block.object_points, 0))
+    centred = block.moved(-np.mean(np.asarray(block.object_points), 0))
     rows = _compiled_rows(
         unknowns_of(centred), observations_of(centred), _padded_indices(fixed), _padded_indices(held), optimised=False
     )

@@ -24,6 +24,7 @@ from jaxtyping import Array, Bool, Float, Int
 
 from jaxbundle.camera.collinearity import Vector
 from jaxbundle.geometry.rotation import Rotation, Scalar
+from jaxbundle.numerics.host import on_host
 
 
 @dataclass(frozen=True)
@@ -56,7 +57,7 @@ class ObservationGroup(eqx.Module):
     @property
     def weights(self) -> Float[Array, "member component"]:
         """Square roots of the weights: 1/sigma, 0 where nothing is observed."""
-        return jnp.where(jnp.asarray(self.structure.observed), 1 / self.sigmas, 0.0)
+        return jnp.asarray(np.asarray(self.structure.observed) / on_host(self.sigmas))
 
     @property
     def count(self) -> int:

@@ -14,6 +14,7 @@ from jaxbundle.block.unknowns import Unknowns, corrected_in_angles
 from jaxbundle.camera.collinearity import photo_vector
 from jaxbundle.camera.model import CameraModel
 from jaxbundle.geometry.rotation import RotationSystem
+from jaxbundle.numerics.host import on_host
 
 
 class Group(eqx.Module):
@@ -47,7 +48,12 @@ def observations_of(block: Block) -> Observations:
     """The observations of a block."""
     structure, in_angles = block.structure, corrected_in_angles(block.structure)
     groups = tuple(
-        Group(group.structure.kind, jnp.asarray(group.structure.indices.T), group.values.T, group.weights.T)
+        Group(
+            group.structure.kind,
+            jnp.asarray(group.structure.indices.T),
+            jnp.asarray(on_host(group.values).T),
+            jnp.asarray(on_host(group.weights).T),
+        )
         for group in block.groups
     )
     return Observations(
@@ -57,8 +63,8 @@ def observations_of(block: Block) -> Observations:
         jnp.asarray(structure.image_camera, jnp.int32),
         jnp.asarray(structure.ray_image, jnp.int32),
         jnp.asarray(structure.ray_point, jnp.int32),
-        block.rays.coordinates.T,
-        1 / block.rays.sigmas.T,
+        jnp.asarray(on_host(block.rays.coordinates).T),
+        jnp.asarray(1 / on_host(block.rays.sigmas).T),
         groups,
         jnp.asarray(structure.exterior_free.T),
         jnp.asarray(structure.interior_free.T[list(structure.interior_columns)]),

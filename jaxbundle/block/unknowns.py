@@ -18,9 +18,12 @@ import jax.numpy as jnp
 import numpy as np
 from jaxtyping import Array, Bool, Float
 
-from jaxbundle.block.block import Block, ExteriorOrientation, InteriorOrientation, Structure
+from jaxbundle.block.block import Block, Structure
 from jaxbundle.geometry import rotation
 from jaxbundle.geometry.rotation import Angles, Rotation, RotationSystem
+from jaxbundle.numerics.compilation import Compiled
+from jaxbundle.numerics.host import is_concrete, on_host
+from jaxbundle.numerics.shapes import grid_size
 
 
 class Unknowns(eqx.Module):
@@ -42,33 +45,30 @@ class Correction(eqx.Module):
 
 def unknowns_of(block: Block) -> Unknowns:
     """The approximate values of a block."""
-    system = block.structure.rotation_system
-    interior = block.interior.elements.T
+    interior = on_host(block.interior.elements).T
     models = tuple(dict.fromkeys(camera.model for camera in block.structure.cameras))
     if len(models) > 1:  # the mixture's last element tells the kind
         kind = np.array([[models.index(camera.model) for camera in block.structure.cameras]], float)
-        interior = jnp.concatenate([interior, jnp.asarray(kind)])
+        interior = (np if is_concrete(interior) else jnp).concatenate([interior, kind])
     return Unknowns(
-        jnp.stack(system.rotation_from_angles(*block.exterior.angles.T)),
-        block.exterior.projection_centre.T,
-        interior,
-        block.object_points.T,
+        _rotations(block),
+        jnp.asarray(on_host(block.exterior.projection_centre).T),
+        jnp.asarray(interior),
+        jnp.asarray(on_host(block.object_points).T),
     )
 
 
-def with_unknowns(block: Block, unknowns: Unknowns) -> Block:
-    """The block with these values in place of its own."""
-    elements = block.interior.elements.shape[1]
-    angles = angles_near(tuple(unknowns.rotation), block.exterior.angles.T, block.structure.rotation_system)
-    return eqx.tree_at(
-        lambda b: (b.exterior, b.interior, b.object_points),
-        block,
-        (
-            ExteriorOrientation(unknowns.centre.T, jnp.stack(angles, -1)),
-            InteriorOrientation(unknowns.interior[:elements].T),
-            unknowns.points.T,
-        ),
-    )
+def _rotations(block: Block) -> Float[Array, "9 image"]:
+    """Rotation matrices of the images; concrete ones by a program that serves all numbers of images alike."""
+    angles, system = on_host(block.exterior.angles), block.structure.rotation_system
+    if not is_concrete(angles):
+        return jnp.stack(system.rotation_from_angles(*angles.T))
+    padded = np.zeros((3, grid_size(len(angles))))
+    padded[:, : len(angles)] = angles.T
+    return jnp.asarray(np.asarray(_compiled_rotations(system, jnp.asarray(padded), optimised=False))[:, : len(angles)])
+
+
+_compiled_rotations = Compiled(lambda system, angles: jnp.stack(system.rotation_from_angles(*angles)))
 
 
 def corrected_in_angles(structure: Structure) -> Bool[np.ndarray, " image"] | None:

@@ -11,7 +11,6 @@ from typing import NamedTuple
 import equinox as eqx
 import jax.numpy as jnp
 import numpy as np
-from jax.core import Tracer
 from jaxtyping import Array, Bool, Float, Int
 
 from jaxbundle.block.block import Block, Structure
@@ -25,6 +24,7 @@ from jaxbundle.normals.kept import KeptRays
 from jaxbundle.normals.reduced_plan import Method, reduced_plan
 from jaxbundle.normals.reduced_system import ReducedSolver
 from jaxbundle.normals.tiles import CLASSES, SLOTS, Tiling, tiling
+from jaxbundle.numerics.host import is_concrete, on_host
 from jaxbundle.numerics.shapes import grid_size
 
 DENSE_TABLE = 4096  # images; beyond, pairs are looked up by bisection
@@ -225,9 +225,10 @@ def arrange(
     )
 
 
-def _spread(values, index: Int[np.ndarray, " entity"], size: int, filling: float):
+def spread(values, index: Int[np.ndarray, " entity"], size: int, filling: float):
     """Columns of `values` put to their places among `size`; the other places hold `filling`."""
-    xp = jnp if isinstance(values, Tracer) else np
+    values = on_host(values)
+    xp = np if is_concrete(values) else jnp
     source = np.full(size, values.shape[1])
     source[index] = np.arange(values.shape[1])
     return xp.concatenate([values, xp.full((values.shape[0], 1), filling, values.dtype)], 1)[:, source]
@@ -237,12 +238,12 @@ def arranged_unknowns(a: Arrangement, unknowns: Unknowns) -> Arranged:
     """The unknowns of a block in the order of elimination."""
     o = a.order
     identity = np.eye(3).reshape(9, 1)
-    rotation = _spread(unknowns.rotation - identity, o.image, o.images, 0.0) + identity
-    points = _spread(unknowns.points, o.point, o.points, 0.0)
+    rotation = spread(unknowns.rotation - identity, o.image, o.images, 0.0) + identity
+    points = spread(unknowns.points, o.point, o.points, 0.0)
     images = Unknowns(
         jnp.asarray(rotation),
-        jnp.asarray(_spread(unknowns.centre, o.image, o.images, 0.0)),
-        jnp.asarray(_spread(unknowns.interior, o.camera, o.cameras, 1.0)),
+        jnp.asarray(spread(unknowns.centre, o.image, o.images, 0.0)),
+        jnp.asarray(spread(unknowns.interior, o.camera, o.cameras, 1.0)),
         jnp.asarray(points[:, a.places :]),
     )
     return Arranged(images, jnp.asarray(points[:, : a.places].reshape(3, -1, a.tiling.width)))
@@ -250,11 +251,31 @@ def arranged_unknowns(a: Arrangement, unknowns: Unknowns) -> Arranged:
 
 def restored_unknowns(a: Arrangement, arranged: Arranged) -> Unknowns:
     """The unknowns in the order of the block."""
-    flat = arranged.flat()
-    o = a.order
-    return Unknowns(
-        flat.rotation[:, o.image], flat.centre[:, o.image], flat.interior[:, o.camera], flat.points[:, o.point]
+    images, o = arranged.images, a.order
+    tiles, kept = on_host(arranged.tiles), on_host(images.points)
+    xp = np if is_concrete((tiles, kept)) else jnp
+    points = xp.concatenate([tiles.reshape(3, -1), kept], 1)[:, o.point]
+    parts = (
+        on_host(images.rotation)[:, o.image],
+        on_host(images.centre)[:, o.image],
+        on_host(images.interior)[:, o.camera],
     )
+    return Unknowns(*(jnp.asarray(x) for x in (*parts, points)))
+
+
+def restored_rays(a: Arrangement, cells: list[Array], kept: list[Array]) -> Float[Array, "ray 2"]:
+    """What belongs to the cells and to the rays of kept points, in the order of the block's rays."""
+    grid = a.tiling.ray.ravel()
+    cell = np.flatnonzero(grid >= 0)
+    place = np.empty(len(a.rays) + len(a.kept_rays), int)
+    place[a.rays[grid[cell]]] = cell
+    place[a.kept_rays] = grid.size + np.arange(len(a.kept_rays))
+    xp = np if is_concrete((cells, kept)) else jnp
+    columns = []
+    for k in range(2):
+        parts = [on_host(cells[k]).ravel(), *([on_host(kept[k])] if kept else [])]
+        columns.append(xp.concatenate(parts)[place])
+    return jnp.asarray(xp.stack(columns, 1))
 
 
 def problem(a: Arrangement, block: Block) -> Problem:
@@ -269,7 +290,8 @@ def problem(a: Arrangement, block: Block) -> Problem:
     for group in block.groups:
         kind, indices = group.structure.kind, group.structure.indices.T
         index = np.stack([maps[k][i] for k, i in zip(kind.touches, indices, strict=True)])
-        groups.append(Group(kind, jnp.asarray(index, jnp.int32), group.values.T, group.weights.T))
+        values, weights = (jnp.asarray(on_host(x).T) for x in (group.values, group.weights))
+        groups.append(Group(kind, jnp.asarray(index, jnp.int32), values, weights))
     column = np.full(o.points, a.shape.border)
     column[a.places :] = a.shape.shared * a.shape.cameras + 3 * np.arange(o.points - a.places)
     none = jnp.zeros(0, jnp.int32)
@@ -284,10 +306,10 @@ def problem(a: Arrangement, block: Block) -> Problem:
         jnp.zeros((2, 0)),
         jnp.zeros((2, 0)),
         tuple(groups),
-        jnp.asarray(_spread(structure.exterior_free.T, o.image, o.images, False)),
-        jnp.asarray(_spread(interior_free, o.camera, o.cameras, False)),
-        jnp.asarray(_spread(structure.point_free.T, o.point, o.points, False)),
-        None if in_angles is None else jnp.asarray(_spread(in_angles[None], o.image, o.images, False)[0]),
+        jnp.asarray(spread(structure.exterior_free.T, o.image, o.images, False)),
+        jnp.asarray(spread(interior_free, o.camera, o.cameras, False)),
+        jnp.asarray(spread(structure.point_free.T, o.point, o.points, False)),
+        None if in_angles is None else jnp.asarray(spread(in_angles[None], o.image, o.images, False)[0]),
     )
     return Problem(
         observations,
@@ -307,10 +329,11 @@ def _tiles(a: Arrangement, block: Block) -> Tiles:
     """The rays of eliminated points as cells."""
     t = a.tiling
     cell = np.append(a.rays, 0)[t.ray]  # -1, no ray, reads the appended one and gets weight 0
-    xp = np if block.concrete else jnp
-    coordinates, sigmas = xp.asarray(block.rays.coordinates), xp.asarray(block.rays.sigmas)
+    coordinates, sigmas = on_host(block.rays.coordinates), on_host(block.rays.sigmas)
+    xp = np if is_concrete(coordinates) else jnp
     measured = xp.stack([coordinates[:, k][cell] for k in range(2)], 2)
-    weights = xp.stack([xp.where(t.ray >= 0, (1 / sigmas[:, k])[cell], 0.0) for k in range(2)], 2)
+    xp = np if is_concrete(sigmas) else jnp
+    weights = xp.stack([(t.ray >= 0) / sigmas[:, k][cell] for k in range(2)], 2)
     return Tiles(
         *(jnp.asarray(x) for x in (t.slot_image, t.slot_tile, measured, weights)),
         *(jnp.asarray(x) for x in (t.tile_class, a.pair_offset, t.chunks, a.pair)),
@@ -327,6 +350,6 @@ def _kept_rays(a: Arrangement, block: Block) -> KeptRays:
     return KeptRays(
         jnp.asarray(a.order.image[image], jnp.int32),
         jnp.asarray(np.where(used, a.order.point[point] - a.places, 0), jnp.int32),
-        block.rays.coordinates[ray].T,
-        jnp.where(used, 1 / block.rays.sigmas[ray].T, 0.0),
+        jnp.asarray(on_host(block.rays.coordinates)[ray].T),
+        jnp.asarray(used / on_host(block.rays.sigmas)[ray].T),
     )

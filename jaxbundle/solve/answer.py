@@ -1,0 +1,131 @@
+"""From the solver's unknowns to the user's answer: residuals, angles, cofactors, all in the order of the block.
+
+What needs a program is computed in the padded order of the elimination, so one program serves many blocks; the rest is
+put in order by the host.
+"""
+
+from typing import NamedTuple
+
+import equinox as eqx
+import jax.numpy as jnp
+import numpy as np
+from jaxtyping import Array, Float
+
+from jaxbundle.block.block import Block, ExteriorOrientation, InteriorOrientation
+from jaxbundle.block.unknowns import angle_derivatives, angles_near
+from jaxbundle.normals.arrange import Arranged, Arrangement, Problem, restored_rays, restored_unknowns, spread
+from jaxbundle.normals.cofactors import Cofactors, cofactors
+from jaxbundle.normals.step import weighted_residuals
+from jaxbundle.numerics.compilation import Compiled
+from jaxbundle.numerics.host import is_concrete, on_host
+from jaxbundle.solve.adjustment import Adjustment, BlockCofactors, Iterations
+from jaxbundle.solve.undetermined import undetermined_unknowns
+
+
+class Answer(NamedTuple):
+    """What is computed at the end, in the order of the elimination; cofactors are None where none are asked for."""
+
+    angles: Float[Array, "3 image"]
+    residuals: list[Array]
+    cofactors: Cofactors | None
+    exterior: Float[Array, "image 6 6"] | None
+
+
+@Compiled
+def _answer(arranged: Arranged, problem: Problem, reference: Float[Array, "3 image"], precision: bool) -> Answer:
+    """Angles near the reference, weighted residuals, cofactors; those of the exterior in the user's angles."""
+    o, matrix = problem.observations, arranged.images.rotation
+    angles = jnp.stack(angles_near(tuple(matrix), reference, o.system))
+    residuals = weighted_residuals(arranged, problem)
+    if not precision:
+        return Answer(angles, residuals, None, None)
+    q = cofactors(arranged, problem)
+    turned = angle_derivatives(matrix, o.in_angles, reference, o.system).transpose(2, 0, 1)
+    to_user = jnp.zeros((matrix.shape[1], 6, 6)).at[:, :3, :3].set(jnp.eye(3)).at[:, 3:, 3:].set(turned)
+    exterior = jnp.einsum("iab,ibc,idc->iad", to_user, q.images[:, :6, :6], to_user)
+    return Answer(angles, residuals, q, exterior)
+
+
+def adjustment(
+    block: Block,
+    plan: Arrangement,
+    problem: Problem,
+    arranged: Arranged,
+    iterations: Iterations,
+    origin: Float[Array, "3"],
+    rule: str,
+    method: str,
+    precision: bool,
+    optimised: bool,
+) -> Adjustment:
+    """The answer for a block. `problem` and `arranged` belong to the block with its origin moved to `origin`."""
+    reference = jnp.asarray(spread(on_host(block.exterior.angles).T, plan.order.image, plan.order.images, 0.0))
+    answer = _answer(arranged, problem, reference, precision, optimised=optimised)
+    weighted, residuals = _residuals(block, plan, problem, answer.residuals)
+    blocks, weak = None, ()
+    if answer.cofactors is not None:
+        blocks = _cofactors(block, plan, answer)
+        weak = undetermined_unknowns(block.structure, plan, answer.cofactors) if block.concrete else ()
+    adjusted = _adjusted(block, plan, arranged, answer.angles, origin)
+    return Adjustment(adjusted, residuals, weighted, blocks, iterations, rule, method, weak)
+
+
+def _residuals(
+    block: Block, plan: Arrangement, problem: Problem, weighted: list[Array]
+) -> tuple[tuple[Array, ...], tuple[Array, ...]]:
+    """Weighted and unweighted residuals, a table for the rays and for every group; 0 where nothing is observed."""
+    kept = 2 if problem.kept_rays.image.shape[0] else 0
+    rays = restored_rays(plan, weighted[:2], weighted[2 : 2 + kept])
+    tables = [rays, *(jnp.asarray(on_host(v).T) for v in weighted[2 + kept :])]
+    sigmas = [block.rays.sigmas, *(group.sigmas for group in block.groups)]
+    unweighted = (jnp.asarray(on_host(v) * on_host(s)) for v, s in zip(tables, sigmas, strict=True))
+    return tuple(tables), tuple(unweighted)
+
+
+def _adjusted(
+    block: Block, plan: Arrangement, arranged: Arranged, angles: Float[Array, "3 image"], origin: Float[Array, "3"]
+) -> Block:
+    """The block with its adjusted values. What is held stays exactly as it was given: moving the origin rounds."""
+    unknowns, structure = restored_unknowns(plan, arranged), block.structure
+
+    def chosen(free: np.ndarray, new: Array, old: Array) -> Array:
+        new, old = on_host(new), on_host(old)
+        return jnp.asarray((np if is_concrete((new, old)) else jnp).where(free, new, old))
+
+    shift, free = on_host(origin), structure.exterior_free
+    centre = chosen(free[:, :3], on_host(unknowns.centre).T + shift, block.exterior.projection_centre)
+    turned = chosen(free[:, 3:], on_host(angles).T[plan.order.image], block.exterior.angles)
+    points = chosen(structure.point_free, on_host(unknowns.points).T + shift, block.object_points)
+    elements = block.interior.elements.shape[1]
+    interior = jnp.asarray(on_host(unknowns.interior)[:elements].T)
+    return eqx.tree_at(
+        lambda b: (b.object_points, b.exterior, b.interior),
+        block,
+        (points, ExteriorOrientation(centre, turned), InteriorOrientation(interior)),
+    )
+
+
+def _cofactors(block: Block, plan: Arrangement, answer: Answer) -> BlockCofactors:
+    """Cofactors in the order of the block."""
+    structure, shape, q = block.structure, plan.shape, answer.cofactors
+    assert q is not None
+    concrete = is_concrete((answer.exterior, q.points))
+    xp = np if concrete else jnp
+    exterior = on_host(answer.exterior)[plan.order.image]
+
+    elements, columns = block.interior.elements.shape[1], np.array(structure.interior_columns, int)
+    cameras, count = len(structure.cameras), len(columns)
+    border = on_host(q.border)
+    if shape.image > 6:
+        own = on_host(q.images)[plan.order.camera][:, 6:, 6:]
+    else:
+        at = count * np.arange(cameras)[:, None] + np.arange(count)
+        own = border[at[:, :, None], at[:, None, :]]
+    place = np.zeros((elements, count))
+    place[columns, np.arange(count)] = 1.0
+    interior = place @ own @ place.T
+
+    at = shape.shared * shape.cameras + 3 * np.arange(shape.kept)[:, None] + np.arange(3)
+    kept = border[at[:, :, None], at[:, None, :]]
+    points = xp.concatenate([on_host(q.points).transpose(2, 3, 0, 1).reshape(-1, 3, 3), kept])[plan.order.point]
+    return BlockCofactors(jnp.asarray(exterior), jnp.asarray(interior), jnp.asarray(points))

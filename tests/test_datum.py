@@ -1,0 +1,157 @@
+"""The datum: how much of it observations determine, and what is held where they determine nothing."""
+
+import dataclasses
+
+import equinox as eqx
+import jax
+import jax.numpy as jnp
+import numpy as np
+import pytest
+
+from jaxbundle.block.block import Block, Datum
+from jaxbundle.block.datum import datum_defect, with_datum
+from jaxbundle.block.observations import CONTROL, DISTANCES, STATIONS, ObservationGroup, observation_group
+from jaxbundle.block.problems import BlockError
+from jaxbundle.planning.simulate import simulate
+from jaxbundle.solve.adjust import adjust
+
+NO = np.nan
+
+
+def free_network(strips: int = 1) -> Block:
+    """Strips of three images, with no control at all."""
+    block = simulate(strips, 3, control_rows=0, check_points=0, points_per_image=30).block
+    free = np.ones_like(block.structure.exterior_free)
+    return dataclasses.replace(
+        block, structure=dataclasses.replace(block.structure, exterior_free=free, datum=Datum("open"))
+    )
+
+
+def control(*coordinates: tuple[float, float, float]) -> ObservationGroup:
+    """Control coordinates of the first points of the block; NaN where one is not known."""
+    values = np.array(coordinates)
+    return observation_group(CONTROL, np.arange(len(values))[:, None], values, np.full(values.shape, 0.05))
+
+
+def placed(block: Block, group: ObservationGroup) -> Block:
+    """The block with control whose approximate coordinates are the known ones, where these are known."""
+    known = jnp.where(jnp.asarray(group.structure.observed), group.values, block.object_points[: len(group.values)])
+    points = block.object_points.at[: len(known)].set(known)
+    return dataclasses.replace(eqx.tree_at(lambda b: b.object_points, block, points), groups=(*block.groups, group))
+
+
+def with_stations(block: Block) -> Block:
+    """The block with observed projection centres, every strip exactly straight along X."""
+    names = block.structure.image_names
+    nominal = np.array([[600.0 * int(name[2:]), 1000.0 * int(name[0]), 1500.0] for name in names])
+    group = observation_group(STATIONS, np.arange(len(names))[:, None], nominal, np.full(nominal.shape, 0.1))
+    block = eqx.tree_at(lambda b: b.exterior.projection_centre, block, jnp.asarray(nominal))
+    return dataclasses.replace(block, groups=(group,))
+
+
+@pytest.mark.parametrize(
+    ("known", "count", "words"),
+    [
+        ([], 7, "origin, axes and scale"),
+        ([(0, 0, 0)], 4, "all three rotations, the scale"),
+        ([(0, 0, 0), (800, 0, 0)], 1, "the rotation about an axis parallel to X"),
+        ([(0, 0, 0), (300, 400, 0)], 1, "the rotation about an axis parallel to (0.60, 0.80, 0.00)"),
+        ([(0, 0, 0), (800, 0, 0), (NO, NO, 20)], 0, ""),
+        ([(0, 0, 0), (800, 0, 0), (400, 500, 0)], 0, ""),
+        ([(0, 0, NO), (800, 0, NO)], 3, "the position along Z, two of the three rotations"),
+        ([(0, 0, 0), (NO, NO, 0), (NO, NO, 0)], 2, "the rotation about an axis parallel to Z, the scale"),
+    ],
+)
+def test_control(known, count, words):
+    block = free_network()
+    defect = datum_defect(placed(block, control(*known)) if known else block)
+    assert defect.count == count
+    assert defect.words == words
+
+
+def test_heights_alone_leave_plane_position_azimuth_and_scale():
+    block = placed(free_network(), control((NO, NO, 0.0), (NO, NO, 10.0), (NO, NO, 20.0)))
+    assert datum_defect(block).count == 4
+
+
+def test_distance_gives_the_scale():
+    block = free_network()
+    distance = observation_group(DISTANCES, np.array([[0, 5]]), np.array([[400.0]]), np.array([[0.01]]))
+    defect = datum_defect(dataclasses.replace(block, groups=(distance,)))
+    assert (defect.count, defect.words) == (6, "the origin, all three rotations")
+
+
+def test_strip_with_observed_stations_rolls_about_its_line():
+    strip = with_stations(free_network())
+    defect = datum_defect(strip)
+    assert (defect.count, defect.words) == (1, "the rotation about an axis parallel to X")
+    assert datum_defect(placed(strip, control((NO, NO, 15.0)))).count == 0
+    assert datum_defect(with_stations(free_network(2))).count == 0
+
+
+def test_a_large_origin_changes_nothing():
+    block = placed(free_network(), control((0, 0, 0), (800, 0, 0)))
+    moved = block.moved(jnp.array([5e5, 5e6, 1e3]))
+    assert datum_defect(moved) == datum_defect(block)
+
+
+def test_minimal_datum_is_chosen_and_named():
+    """All of the first image, and the coordinate of another image that differs most from the first one's."""
+    block = free_network()
+    structure = with_datum(block).structure
+    assert structure.datum == Datum(
+        "minimal", (*(("1_01", name) for name in ("X0", "Y0", "Z0", "omega", "phi", "kappa")), ("1_03", "X0"))
+    )
+    assert "image 1_01: X0, Y0, Z0, omega, phi, kappa; image 1_03: X0" in str(structure.datum)
+    assert structure.unknowns == block.structure.unknowns - 7
+    assert not structure.exterior_free[0].any() and not structure.exterior_free[2, 0]
+    assert datum_defect(with_datum(block)).count == 0
+    again = with_datum(with_datum(block))
+    assert again.structure.datum == structure.datum
+
+
+def test_minimal_datum_leaves_the_scale_to_a_distance():
+    block = free_network()
+    distance = observation_group(DISTANCES, np.array([[0, 5]]), np.array([[400.0]]), np.array([[0.01]]))
+    assert len(with_datum(dataclasses.replace(block, groups=(distance,))).structure.datum.held) == 6
+
+
+def held(block: Block, *elements: tuple[str, str]) -> Block:
+    """The block with these elements of its images held by the user."""
+    structure = block.structure
+    free = structure.exterior_free.copy()
+    for image, element in elements:
+        free[structure.image_names.index(image), structure.exterior_elements.index(element)] = False
+    structure = dataclasses.replace(structure, exterior_free=free, datum=Datum("fixed", elements))
+    return dataclasses.replace(block, structure=structure)
+
+
+def test_every_minimal_datum_gives_the_same_residuals():
+    """And the same sigma0; what is held keeps its value and has no standard deviation."""
+    block = free_network()
+    one = adjust(block)
+    elements = (*(("1_02", name) for name in ("X0", "Y0", "Z0", "omega", "phi", "kappa")), ("1_01", "X0"))
+    other = adjust(held(block, *elements))
+    assert one.trustworthy and other.trustworthy
+    assert float(one.sigma0) == pytest.approx(float(other.sigma0), rel=1e-10)
+    np.testing.assert_allclose(one.residuals[0], other.residuals[0], rtol=0, atol=1e-9)  # mm
+    for adjustment in (one, other):
+        fixed = ~adjustment.block.structure.exterior_free
+        exterior = [np.hstack([b.exterior.projection_centre, b.exterior.angles]) for b in (adjustment.block, block)]
+        np.testing.assert_allclose(exterior[0][fixed], exterior[1][fixed], rtol=1e-13, atol=1e-13)
+        sd = adjustment.standard_deviations
+        assert not np.hstack([sd.projection_centre, sd.angles])[fixed].any()
+
+
+def test_insufficient_control_is_refused():
+    block = placed(free_network(), control((0, 0, 0), (800, 0, 0)))
+    for refusing in (with_datum, adjust):
+        with pytest.raises(BlockError, match="1 of the 7 parameters.*the rotation about an axis parallel to X"):
+            refusing(block)
+
+
+def test_datum_is_chosen_before_tracing():
+    block = free_network()
+    arrays, static = eqx.partition(block, eqx.is_array)
+    with pytest.raises(ValueError, match="with_datum"):
+        jax.jit(lambda arrays: adjust(eqx.combine(arrays, static)).sigma0)(arrays)
