@@ -1,7 +1,5 @@
 """Four solvers and four stopping rules end at the same minimum."""
 
-import dataclasses
-
 import equinox as eqx
 import jax
 import jax.numpy as jnp
@@ -13,7 +11,6 @@ from simulated import small_block
 
 from jaxbundle.block.block import Block
 from jaxbundle.block.unknowns import with_unknowns
-from jaxbundle.numerics.compilation import QUICKLY
 from jaxbundle.planning.simulate import simulate
 from jaxbundle.solve.adjust import adjust
 from jaxbundle.solve.adjustment import Adjustment, Status
@@ -59,7 +56,7 @@ def test_stock_levenberg_marquardt_of_optimistix(block, reference):
     """On the flat vector of all corrections, in units of the columns of the design matrix."""
     unknowns, observations = centred(block)
     lengths = jnp.asarray(dense_system(unknowns, observations).lengths)
-    solver = optx.LevenbergMarquardt(rtol=1e-12, atol=1e-12)
+    solver = optx.LevenbergMarquardt(rtol=1e-9, atol=1e-9)
 
     def residuals(x, _):
         return residual_vector(unknowns, observations, x / lengths)
@@ -67,7 +64,7 @@ def test_stock_levenberg_marquardt_of_optimistix(block, reference):
     def solve(start):
         return optx.least_squares(residuals, solver, start, max_steps=100, throw=False).value
 
-    x = jax.jit(solve, compiler_options=QUICKLY)(jnp.zeros(free_count(observations)))
+    x = jax.jit(solve)(jnp.zeros(free_count(observations)))
     origin = jnp.mean(block.exterior.projection_centre, 0)
     found = with_unknowns(block.moved(-origin), moved(unknowns, observations, x / lengths)).moved(origin)
     assert float(jnp.sum(residuals(x, None) ** 2)) == pytest.approx(float(reference.vtpv), rel=1e-12)
@@ -75,26 +72,25 @@ def test_stock_levenberg_marquardt_of_optimistix(block, reference):
 
 
 RULES = {
-    "angle": lambda block: AngleRule(limit=1e-6),
-    "points": lambda block: PointRule(limit=1e-4),  # m
-    "parallax": lambda block: parallax_rule(block, 1e-9),  # of the principal distance
+    "angle": lambda block: AngleRule(limit=1e-3),
+    "points": lambda block: PointRule(limit=0.05),  # m
+    "parallax": lambda block: parallax_rule(block, 1e-7),  # of the principal distance
     "unknown": lambda block: unknown_rule(
-        block, 1e-5, ("1_01", "X0"), ("1_02", "omega"), ("camera", "x0"), ("20", "Z")
+        block, 1e-3, ("1_01", "X0"), ("1_02", "omega"), ("camera", "x0"), ("20", "Z")
     ),
 }
 
 
 @pytest.mark.parametrize("name", RULES)
 def test_stopping_rules(block, reference, name):
-    """Each ends the solve by its own measure, is named in the result and leaves nothing that matters."""
+    """Each ends the solve by its own measure, sooner than the strict default, and is named in the result."""
     rule = RULES[name](block)
     found = adjust(block, stop=rule, precision=False)
     assert found.stopping_rule == name and name in found.summary()
     assert found.status is Status.CONVERGED
     assert float(found.iterations.measure) <= rule.limit
-    assert off(found.block, reference) < 1e-2
-    early = adjust(block, stop=dataclasses.replace(rule, limit=1e3 * rule.limit), precision=False)
-    assert int(early.iterations.trials) < int(found.iterations.trials)
+    assert int(found.iterations.trials) < int(reference.iterations.trials)
+    assert off(found.block, reference) < 0.05
 
 
 def test_unknown_names_are_refused(block):

@@ -71,6 +71,21 @@ def _rotations(block: Block) -> Float[Array, "9 image"]:
 _compiled_rotations = Compiled(lambda system, angles: jnp.stack(system.rotation_from_angles(*angles)))
 
 
+def with_unknowns(block: Block, unknowns: Unknowns) -> Block:
+    """The block with these values in place of its own."""
+    elements = block.interior.elements.shape[1]
+    angles = angles_near(tuple(unknowns.rotation), block.exterior.angles.T, block.structure.rotation_system)
+    return eqx.tree_at(
+        lambda b: (b.exterior, b.interior, b.object_points),
+        block,
+        (
+            ExteriorOrientation(unknowns.centre.T, jnp.stack(angles, -1)),
+            InteriorOrientation(unknowns.interior[:elements].T),
+            unknowns.points.T,
+        ),
+    )
+
+
 def corrected_in_angles(structure: Structure) -> Bool[np.ndarray, " image"] | None:
     """Images of which one or two angles are held: they are corrected in the user's angles. None if there is none."""
     free = structure.exterior_free[:, 3:].sum(1)

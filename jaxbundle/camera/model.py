@@ -103,10 +103,13 @@ def mixture(models: tuple[CameraModel, ...]) -> CameraModel:
     length = max(len(model.elements) for model in kinds)
 
     def residual(interior: tuple[Scalar, ...], photo_vector: Vector, measured: ImagePoint) -> ImagePoint:
-        x, y = kinds[0].residual(interior[: len(kinds[0].elements)], photo_vector, measured)
-        for k, model in enumerate(kinds[1:], 1):
-            x_k, y_k = model.residual(interior[: len(model.elements)], photo_vector, measured)
-            x, y = jnp.where(interior[length] == k, x_k, x), jnp.where(interior[length] == k, y_k, y)
+        x, y = 0.0 * measured[0], 0.0 * measured[1]
+        for k, model in enumerate(kinds):
+            chosen = interior[length] == k
+            # another kind's elements might be a 0 to divide by here, and 0 times the derivative of that is no 0
+            own = tuple(jnp.where(chosen, element, 1.0) for element in interior[: len(model.elements)])
+            x_k, y_k = model.residual(own, photo_vector, measured)
+            x, y = jnp.where(chosen, x_k, x), jnp.where(chosen, y_k, y)
         return x, y
 
     elements = (*(f"element {k + 1}" for k in range(length)), "kind")
