@@ -12,7 +12,7 @@ import equinox as eqx
 import jax
 import jax.numpy as jnp
 from jax import lax
-from jax.sharding import PartitionSpec
+from jax.sharding import NamedSharding, PartitionSpec
 from jaxtyping import Array, Bool, Float
 
 from jaxbundle.block.residuals import group_residuals
@@ -210,18 +210,30 @@ def trial_step(unknowns: Arranged, p: Problem, damping: Float[Array, ""]) -> Tri
 
 def partition(unknowns: Arranged, linear: Linearised, p: Problem) -> tuple[Arranged, Linearised, Problem]:
     """How the arguments of a step lie on the devices: tiles parted, all else everywhere."""
-
-    def whole(tree):
-        return jax.tree.map(lambda _: PartitionSpec(), tree)
-
     of_tiles: Any = PartitionSpec(None, AXIS)
     parts = jax.tree.map(lambda _: PartitionSpec(AXIS), p.tiles)
     tiles = eqx.tree_at(lambda t: t.pair, parts, PartitionSpec())
     return (
-        Arranged(whole(unknowns.images), of_tiles),
-        whole(linear)._replace(prior=None if linear.prior is None else of_tiles),
-        eqx.tree_at(lambda x: x.tiles, whole(p), tiles),
+        Arranged(_everywhere(unknowns.images), of_tiles),
+        _everywhere(linear)._replace(prior=None if linear.prior is None else of_tiles),
+        eqx.tree_at(lambda x: x.tiles, _everywhere(p), tiles),
     )
+
+
+def _everywhere(tree: Any) -> Any:
+    return jax.tree.map(lambda _: PartitionSpec(), tree)
+
+
+def placed(unknowns: Arranged, p: Problem, state: Any) -> tuple[Arranged, Problem, Any]:
+    """Arguments of the solver put where its steps will leave them: the first step runs in the program of the others."""
+    if p.devices == 1:
+        return unknowns, p, state
+    mesh = device_mesh(p.devices)
+    nothing = Linearised(jnp.zeros(0), jnp.zeros(0), no_sums(0, 0, 0, None), None)
+    unknown_parts, _, problem_parts = partition(unknowns, nothing, p)
+    parts = unknown_parts, problem_parts, _everywhere(state)
+    where = jax.tree.map(lambda part: NamedSharding(mesh, part), parts, is_leaf=lambda x: isinstance(x, PartitionSpec))
+    return jax.device_put((unknowns, p, state), where)
 
 
 def _on_devices(unknowns: Arranged, linear: Linearised, damping: Array, p: Problem, free: Array) -> _RayPart:

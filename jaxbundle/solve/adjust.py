@@ -16,6 +16,7 @@ from jaxbundle.block.unknowns import unknowns_of
 from jaxbundle.block.validate import require_valid
 from jaxbundle.normals.arrange import Arranged, arrange, arranged_unknowns, problem
 from jaxbundle.normals.reduced_plan import Method
+from jaxbundle.normals.step import placed
 from jaxbundle.numerics.compilation import RAYS_FOR_OPTIMISATION
 from jaxbundle.numerics.host import on_host
 from jaxbundle.numerics.precision import require_float64
@@ -114,7 +115,10 @@ def _iterate(
     """Runs the solver: all steps in one program under tracing, else step by step so that a user can look on."""
     bundle = BundleSolver(METHODS[method]())
     state = bundle.first()
-    if not block.concrete:
+    if block.concrete:
+        unknowns, placed_problem, state = placed(unknowns, args.problem, state)
+        args = args._replace(problem=placed_problem)
+    else:
         unknowns, state = solver.run(bundle, unknowns, args, state, max_iterations, optimised=optimised)
         codes = jnp.array([_STATUS[k] for k in range(len(_STATUS))])
         return unknowns, _iterations(state, codes[state.status])
