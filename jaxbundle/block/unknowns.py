@@ -18,7 +18,7 @@ import jax.numpy as jnp
 import numpy as np
 from jaxtyping import Array, Bool, Float
 
-from jaxbundle.block.block import Block, Structure
+from jaxbundle.block.block import Block, ExteriorOrientation, InteriorOrientation, Structure
 from jaxbundle.geometry import rotation
 from jaxbundle.geometry.rotation import Angles, Rotation, RotationSystem
 from jaxbundle.numerics.compilation import Compiled

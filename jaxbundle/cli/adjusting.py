@@ -15,6 +15,7 @@ from jaxbundle.report.files import require_place, write_report
 from jaxbundle.report.findings import findings
 from jaxbundle.solve.adjust import adjust
 from jaxbundle.solve.adjustment import Adjustment
+from jaxbundle.solve.checkpoint import CheckpointError
 from jaxbundle.solve.stopping import AbstractStoppingRule, AngleRule, PointRule, parallax_rule, unknown_rule
 
 
@@ -27,6 +28,7 @@ class Wanted(NamedTuple):
     unknown: tuple[str, ...]
     max_iterations: int
     engine: str
+    checkpoint: Path | None
 
 
 def run(path: Path, out: Path | None, wanted: Wanted, hold_interior: bool, precision: bool) -> int:
@@ -58,8 +60,11 @@ def _adjusted(
             max_iterations=wanted.max_iterations,
             precision=precision,
             engine=wanted.engine,
+            checkpoint=wanted.checkpoint,
             progress=lines.iteration,
         )
+    except CheckpointError as error:
+        raise typer.BadParameter(str(error)) from error
     except ValueError as error:
         if isinstance(error, BlockError) or wanted.engine == "block":
             raise

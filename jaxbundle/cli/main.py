@@ -88,6 +88,10 @@ def adjust(
         Literal["block", "jaxopt"], typer.Option(help="jaxopt: a second opinion on small blocks.")
     ] = "block",
     hold_interior: Annotated[bool, typer.Option("--hold-interior", help="Hold the interior of all cameras.")] = False,
+    checkpoint: Annotated[
+        Path | None,
+        typer.Option(help="File that keeps the state after every accepted iteration; if it exists, go on from it."),
+    ] = None,
     no_precision: Annotated[bool, typer.Option("--no-precision", help="No standard deviations.")] = False,
 ) -> None:
     """Adjust a block and write its report and tables.
@@ -96,7 +100,7 @@ def adjust(
     iterations and keeps the last accepted unknowns.
     """
     adjusting = _loaded("adjusting")
-    wanted = adjusting.Wanted(method, stop, limit, tuple(unknown or ()), max_iterations, engine)
+    wanted = adjusting.Wanted(method, stop, limit, tuple(unknown or ()), max_iterations, engine, checkpoint)
     raise typer.Exit(adjusting.run(path, out, wanted, hold_interior, not no_precision))
 
 

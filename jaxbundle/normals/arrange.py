@@ -225,20 +225,20 @@ def arrange(
     )
 
 
-def spread(values, index: Int[np.ndarray, " entity"], size: int, filling: float):
+def spread(values, index: Int[np.ndarray, " entity"], size: int, filling: float | Float[np.ndarray, "row 1"]):
     """Columns of `values` put to their places among `size`; the other places hold `filling`."""
     values = on_host(values)
     xp = np if is_concrete(values) else jnp
     source = np.full(size, values.shape[1])
     source[index] = np.arange(values.shape[1])
-    return xp.concatenate([values, xp.full((values.shape[0], 1), filling, values.dtype)], 1)[:, source]
+    column = np.broadcast_to(np.asarray(filling, values.dtype), (values.shape[0], 1))
+    return xp.concatenate([values, column], 1)[:, source]
 
 
 def arranged_unknowns(a: Arrangement, unknowns: Unknowns) -> Arranged:
     """The unknowns of a block in the order of elimination."""
     o = a.order
-    identity = np.eye(3).reshape(9, 1)
-    rotation = spread(unknowns.rotation - identity, o.image, o.images, 0.0) + identity
+    rotation = spread(unknowns.rotation, o.image, o.images, np.eye(3).reshape(9, 1))
     points = spread(unknowns.points, o.point, o.points, 0.0)
     images = Unknowns(
         jnp.asarray(rotation),

@@ -35,7 +35,9 @@ class Trial(NamedTuple):
     cost: Float[Array, ""]
     reduction: Float[Array, ""]
     predicted: Float[Array, ""]
-    moved_residuals: Float[Array, ""]  # |J d|^2
+    moved: Float[
+        Array, ""
+    ]  # |change of v|^2, of first order |J d|^2; a sum of squares, unlike g . d free of cancellation
     noise: Float[Array, ""]
     finite: Bool[Array, ""]
 
@@ -134,6 +136,7 @@ class _RayPart(NamedTuple):
     tiles: Float[Array, "3 tile column"]
     cost: Float[Array, ""]
     reduction: Float[Array, ""]
+    moved: Float[Array, ""]
     gradient_step: Float[Array, ""]
     damped_step: Float[Array, ""]
     finite: Bool[Array, ""]
@@ -157,13 +160,14 @@ def _on_device(
     moved = corrected(unknowns.images, correction, o.in_angles, o.system)
     before, along, after = (image_values(u, o) for u in (unknowns.images, direction, moved))
     part = substitute(o, before, along, after, unknowns.tiles, factors, damping, tiles)
-    cost, reduction, gradient_step, damped_step = total(part[1:])
+    cost, reduction, moved_residuals, gradient_step, damped_step = total(part[1:])
     squares = jnp.sum(system.diagonal * images**2) + jnp.sum(system.border_diagonal * border**2)
     return _RayPart(
         moved,
         part.points,
         cost,
         reduction,
+        moved_residuals,
         gradient_step + jnp.sum(gradient * images) + jnp.sum(border_gradient * border),
         damped_step + damping * squares,
         jnp.isfinite(jnp.sum(images)) & jnp.isfinite(jnp.sum(border)) & jnp.isfinite(reduction),
@@ -202,7 +206,7 @@ def trial_step(unknowns: Arranged, p: Problem, damping: Float[Array, ""]) -> Tri
         cost,
         reduction,
         0.5 * (part.damped_step - part.gradient_step),
-        -part.gradient_step - part.damped_step,
+        part.moved + sum(jnp.sum((v - w) ** 2) for v, w in pairs),
         _noise(p),
         part.finite & jnp.isfinite(reduction),
     )
@@ -240,7 +244,7 @@ def _on_devices(unknowns: Arranged, linear: Linearised, damping: Array, p: Probl
     everywhere: Any = PartitionSpec()
     of_tiles: Any = PartitionSpec(None, AXIS)
     unknown_parts, linear_parts, problem_parts = partition(unknowns, linear, p)
-    out_specs = _RayPart(unknown_parts.images, of_tiles, *[everywhere] * 5)
+    out_specs = _RayPart(unknown_parts.images, of_tiles, *[everywhere] * 6)
     return jax.shard_map(
         partial(_on_device, axis=AXIS),
         mesh=device_mesh(p.devices),

@@ -25,11 +25,13 @@ from jaxbundle.normals.tiles import MOST_TILES
 
 
 class Substituted(NamedTuple):
-    """Points after a step; v^T P v / 2 of the rays and its reduction; g . d and d . lambda D d of the points."""
+    """Points after the step; v^T P v / 2 of the rays before it, and its reduction; |change of v|^2; sums over the points
+    of g . d and d . lambda D d."""
 
     points: Float[Array, "3 tile column"]
     cost: Float[Array, ""]
     reduction: Float[Array, ""]
+    moved: Float[Array, ""]
     gradient_step: Float[Array, ""]
     damped_step: Float[Array, ""]
 
@@ -86,10 +88,11 @@ def substitute(
             moved_points,
             carry.cost + 0.5 * sum(jnp.sum(a * a) for a in v),
             carry.reduction + 0.5 * sum(jnp.sum((a - b) * (a + b)) for a, b in zip(v, w, strict=True)),
+            carry.moved + sum(jnp.sum((a - b) ** 2) for a, b in zip(v, w, strict=True)),
             carry.gradient_step + sum(jnp.sum(jnp.where(own, g * d, 0.0)) for g, d in zip(gradient, dx, strict=True)),
             carry.damped_step
             + damping * sum(jnp.sum(jnp.where(own, s * d * d, 0.0)) for s, d in zip(diagonal, dx, strict=True)),
         )
 
     zero = jnp.zeros(())
-    return lax.fori_loop(0, tiles.chunks, do_chunk, Substituted(points, zero, zero, zero, zero))
+    return lax.fori_loop(0, tiles.chunks, do_chunk, Substituted(points, zero, zero, zero, zero, zero))

@@ -2,6 +2,7 @@
 
 import importlib
 from collections.abc import Callable
+from pathlib import Path
 from typing import NamedTuple
 
 import jax
@@ -14,7 +15,7 @@ from jaxbundle.block.datum import with_datum
 from jaxbundle.block.residuals import observations_of
 from jaxbundle.block.unknowns import unknowns_of
 from jaxbundle.block.validate import require_valid
-from jaxbundle.normals.arrange import Arranged, arrange, arranged_unknowns, problem
+from jaxbundle.normals.arrange import Arranged, Arrangement, arrange, arranged_unknowns, problem, restored_unknowns
 from jaxbundle.normals.reduced_plan import Method
 from jaxbundle.normals.step import placed
 from jaxbundle.numerics.compilation import RAYS_FOR_OPTIMISATION
@@ -23,6 +24,7 @@ from jaxbundle.numerics.precision import require_float64
 from jaxbundle.solve import levenberg_marquardt as solver
 from jaxbundle.solve.adjustment import Adjustment, Iterations, Status
 from jaxbundle.solve.answer import adjustment
+from jaxbundle.solve.checkpoint import Keeper, fingerprint
 from jaxbundle.solve.levenberg_marquardt import Arguments, BundleSolver, State
 from jaxbundle.solve.search import DampedSearch, FullStep
 from jaxbundle.solve.stopping import AbstractStoppingRule, AngleRule
@@ -60,6 +62,7 @@ def adjust(
     engine: str = "block",
     reduced: Method = "auto",
     devices: int | None = None,
+    checkpoint: Path | None = None,
     progress: Callable[[Progress], None] | None = None,
 ) -> Adjustment:
     """Adjusts a block by least squares; its values are the start.
@@ -67,10 +70,12 @@ def adjust(
     `method`: "levenberg-marquardt" or "gauss-newton". `stop`: a stopping rule, AngleRule() if none is given.
     `precision`: compute cofactors and standard deviations. `engine`: "block", or "jaxopt" as a second opinion on small
     blocks. `reduced`: how the reduced equations are solved, "dense" or "panels", "auto" by their size. `devices`: JAX
-    devices to deal the points to; if None all of them, or one for a small block. `progress` is called after every
+    devices to deal the points to; if None all of them, or one for a small block. `checkpoint`: a file that keeps the
+    state after every accepted iteration; where it exists the solve goes on from it. `progress` is called after every
     iteration. Ctrl-C ends the iterations and keeps the last accepted unknowns.
 
-    Raises: BlockError with all problems of the block; ValueError for an unknown name or without float64.
+    Raises: BlockError with all problems of the block; CheckpointError for a checkpoint of another block; ValueError for
+    an unknown name or without float64.
     """
     require_float64()
     if method not in METHODS or engine not in ENGINES:
@@ -91,8 +96,12 @@ def adjust(
         unknowns, iterations = second_opinion.solve(unknowns_of(centred), args, method, max_iterations)
         arranged = arranged_unknowns(plan, unknowns)
     else:
-        start = arranged_unknowns(plan, unknowns_of(centred))
-        arranged, iterations = _iterate(centred, start, arguments, method, max_iterations, progress, optimised)
+        run = _Run(centred, plan, arguments, method, max_iterations, optimised)
+        if block.concrete:
+            keeper = None if checkpoint is None else Keeper(checkpoint, fingerprint(block, method))
+            arranged, iterations = _step_by_step(run, progress, keeper)
+        else:
+            arranged, iterations = _in_one(run)
     return adjustment(
         block, plan, arguments.problem, arranged, iterations, origin, rule.name, method, precision, optimised
     )
@@ -103,32 +112,47 @@ def _useful_devices(block: Block) -> int:
     return jax.local_device_count() if len(block.structure.ray_image) >= RAYS_FOR_DEVICES else 1
 
 
-def _iterate(
-    block: Block,
-    unknowns: Arranged,
-    args: Arguments,
-    method: str,
-    max_iterations: int,
-    progress: Callable[[Progress], None] | None,
-    optimised: bool,
+class _Run(NamedTuple):
+    """What a solve needs."""
+
+    block: Block
+    plan: Arrangement
+    args: Arguments
+    method: str
+    max_iterations: int
+    optimised: bool
+
+
+def _in_one(run: _Run) -> tuple[Arranged, Iterations]:
+    """All steps in one program, as tracing needs it."""
+    bundle = BundleSolver(METHODS[run.method]())
+    unknowns = arranged_unknowns(run.plan, unknowns_of(run.block))
+    unknowns, state = solver.run(
+        bundle, unknowns, run.args, bundle.first(), run.max_iterations, optimised=run.optimised
+    )
+    codes = jnp.array([_STATUS[k] for k in range(len(_STATUS))])
+    return unknowns, _iterations(state, codes[state.status])
+
+
+def _step_by_step(
+    run: _Run, progress: Callable[[Progress], None] | None, keeper: Keeper | None
 ) -> tuple[Arranged, Iterations]:
-    """Runs the solver: all steps in one program under tracing, else step by step so that a user can look on."""
-    bundle = BundleSolver(METHODS[method]())
-    state = bundle.first()
-    if block.concrete:
-        unknowns, placed_problem, state = placed(unknowns, args.problem, state)
-        args = args._replace(problem=placed_problem)
-    else:
-        unknowns, state = solver.run(bundle, unknowns, args, state, max_iterations, optimised=optimised)
-        codes = jnp.array([_STATUS[k] for k in range(len(_STATUS))])
-        return unknowns, _iterations(state, codes[state.status])
-    interrupted = False
+    """One step a call, so that a user can look on, stop it, and go on from a checkpoint."""
+    bundle = BundleSolver(METHODS[run.method]())
+    start, state = unknowns_of(run.block), bundle.first()
+    if keeper is not None:
+        start, state = keeper.resumed(start, state)
+    unknowns, problem, state = placed(arranged_unknowns(run.plan, start), run.args.problem, state)
+    args, interrupted = run.args._replace(problem=problem), False
     try:
-        while int(state.trials) < max_iterations and int(state.status) == solver.RUNNING:
+        while int(state.trials) < run.max_iterations and int(state.status) == solver.RUNNING:
             before = int(state.accepted)
-            unknowns, state = solver.run(bundle, unknowns, args, state, 1, optimised=optimised)
+            unknowns, state = solver.run(bundle, unknowns, args, state, 1, optimised=run.optimised)
+            accepted = int(state.accepted) > before
             if progress is not None:
-                progress(_progress(block, state, int(state.accepted) > before))
+                progress(_progress(run.block, state, accepted))
+            if keeper is not None and (accepted or int(state.status) != solver.RUNNING):
+                keeper.keep(restored_unknowns(run.plan, unknowns), state)
     except KeyboardInterrupt:
         interrupted = True
     status = Status.INTERRUPTED if interrupted else _STATUS[int(state.status)]

@@ -75,7 +75,7 @@ class BundleSolver(optx.AbstractLeastSquaresSolver[Arranged, Any, Any, State]):
         problem, rule = args
         damping = jnp.where(state.certifying, 0.0, state.search.damping)
         trial = trial_step(y, problem, damping)
-        angle_squared = jnp.maximum(trial.moved_residuals - trial.noise, 0.0) / (2 * trial.cost)
+        angle_squared = jnp.maximum(trial.moved - 2 * trial.noise, 0.0) / (2 * trial.cost)
         accepted, search = self.search.judge(state.search, trial.reduction, trial.predicted, trial.cost, trial.noise)
         accepted = accepted & trial.finite
         # a certifying step is no information about the damping

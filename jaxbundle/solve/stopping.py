@@ -23,7 +23,10 @@ from jaxbundle.normals.arrange import Order
 
 
 class StepTaken(NamedTuple):
-    """What a rule may look at: the unknowns before and after an accepted step, and (|J d| / |v|)^2."""
+    """What a rule may look at: the unknowns before and after an accepted step, and (|J d| / |v|)^2.
+
+    J d is taken as what the step changed v by, which it is near the minimum.
+    """
 
     before: Unknowns
     after: Unknowns
