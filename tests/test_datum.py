@@ -29,7 +29,7 @@ def free_network(strips: int = 1) -> Block:
 
 def control(*coordinates: tuple[float, float, float]) -> ObservationGroup:
     """Control coordinates of the first points of the block; NaN where one is not known."""
-    values = np.array(coordinates)
+    values = np.array(coordinates, float)
     return observation_group(CONTROL, np.arange(len(values))[:, None], values, np.full(values.shape, 0.05))
 
 

@@ -125,6 +125,10 @@ def test_steps_in_panels(devices):
     assert_dense_steps(BLOCKS["shared camera"](small_block().block), "panels", devices)
 
 
+def test_steps_by_conjugate_gradients(block):
+    assert_dense_steps(block, "pcg")
+
+
 def test_standard_deviations(block):
     """At the minimum, the attitudes in the user's angles."""
     adjustment = adjust(block, method="gauss-newton")

@@ -10,6 +10,7 @@ from jaxbundle.block.changes import with_interior_held
 from jaxbundle.block.problems import BlockError
 from jaxbundle.cli.progress import ProgressLines
 from jaxbundle.io import read
+from jaxbundle.normals.reduced_plan import Method
 from jaxbundle.report.columns import wrapped
 from jaxbundle.report.files import require_place, write_report
 from jaxbundle.report.findings import findings
@@ -28,6 +29,7 @@ class Wanted(NamedTuple):
     unknown: tuple[str, ...]
     max_iterations: int
     engine: str
+    reduced: Method
     checkpoint: Path | None
 
 
@@ -60,6 +62,7 @@ def _adjusted(
             max_iterations=wanted.max_iterations,
             precision=precision,
             engine=wanted.engine,
+            reduced=wanted.reduced,
             checkpoint=wanted.checkpoint,
             progress=lines.iteration,
         )

@@ -88,6 +88,10 @@ def adjust(
         Literal["block", "jaxopt"], typer.Option(help="jaxopt: a second opinion on small blocks.")
     ] = "block",
     hold_interior: Annotated[bool, typer.Option("--hold-interior", help="Hold the interior of all cameras.")] = False,
+    reduced: Annotated[
+        Literal["auto", "dense", "panels", "pcg"],
+        typer.Option(help="How the reduced equations are solved; pcg needs --no-precision."),
+    ] = "auto",
     checkpoint: Annotated[
         Path | None,
         typer.Option(help="File that keeps the state after every accepted iteration; if it exists, go on from it."),
@@ -100,7 +104,9 @@ def adjust(
     iterations and keeps the last accepted unknowns.
     """
     adjusting = _loaded("adjusting")
-    wanted = adjusting.Wanted(method, stop, limit, tuple(unknown or ()), max_iterations, engine, checkpoint)
+    if reduced == "pcg" and not no_precision:
+        raise typer.BadParameter("--reduced pcg gives no standard deviations and needs --no-precision")
+    wanted = adjusting.Wanted(method, stop, limit, tuple(unknown or ()), max_iterations, engine, reduced, checkpoint)
     raise typer.Exit(adjusting.run(path, out, wanted, hold_interior, not no_precision))
 
 

@@ -21,7 +21,7 @@ from jaxbundle.normals import ordering
 from jaxbundle.normals.cells import Tiles
 from jaxbundle.normals.eliminate import Shape
 from jaxbundle.normals.kept import KeptRays
-from jaxbundle.normals.reduced_plan import Method, reduced_plan
+from jaxbundle.normals.reduced_plan import Method, reduced_plan, too_large
 from jaxbundle.normals.reduced_system import ReducedSolver
 from jaxbundle.normals.tiles import CLASSES, SLOTS, Tiling, tiling
 from jaxbundle.numerics.host import is_concrete, on_host
@@ -56,6 +56,7 @@ class Arrangement:
     diagonal_pair: Int[np.ndarray, " image"]
     group_pairs: tuple[Int[np.ndarray, " member"] | None, ...]
     reduced: ReducedSolver
+    method: Method
     devices: int
 
     @property
@@ -175,8 +176,12 @@ def arrange(
     centres: Float[np.ndarray, "image 3"] | None,
     devices: int,
     solver: Method = "auto",
+    direct: bool = True,
 ) -> Arrangement:
-    """Plans the elimination. `centres`: approximate projection centres, a hint for the order of the points."""
+    """Plans the elimination. `centres`: approximate projection centres, a hint for the order of the points.
+
+    `direct`: the reduced matrix must be factorised, because its inverse is wanted.
+    """
     images, cameras, own = len(structure.image_names), len(structure.cameras), own_cameras(structure)
     q = len(structure.interior_columns)
     kept = kept_points(structure, groups)
@@ -194,6 +199,10 @@ def arrange(
     )
     d, shared = (6 + q, 0) if own else (6, q)
     padded_kept = grid_size(int(kept.sum()), 8) if kept.any() else 0
+    if solver == "auto" and not direct and not extra and too_large(graph, images, d):
+        solver = "pcg"
+    if solver == "pcg" and extra:
+        raise ValueError("conjugate gradients do not take observations that touch two images; take another solver")
     reduced = reduced_plan(graph, images, d, devices, solver)
     padded_images = reduced.images
 
@@ -211,7 +220,7 @@ def arrange(
     camera = row[np.argsort(structure.image_camera)] if own else np.arange(cameras)
     return Arrangement(
         Order(row, camera, point, padded_images, padded_images if own else cameras, places + padded_kept),
-        Shape(d, shared, 0 if own else cameras, padded_kept, reduced.pool),
+        Shape(d, shared, 0 if own else cameras, padded_kept, reduced.pool, reduced.method == "pcg"),
         tiles,
         rays,
         np.nonzero(kept)[0],
@@ -221,6 +230,7 @@ def arrange(
         find(np.arange(padded_images), np.arange(padded_images)),
         tuple(None if p is None else find(row[p].max(1), row[p].min(1)) for p in touching),
         reduced.solver,
+        reduced.method,
         devices,
     )
 

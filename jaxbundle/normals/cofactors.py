@@ -62,7 +62,9 @@ def cofactors(unknowns: Arranged, p: Problem) -> Cofactors:
 def _on_device(unknowns: Arranged, linear: Linearised, p: Problem, free: Array, axis: str | None) -> Cofactors:
     zero = jnp.zeros(())
     tiles = local_tiles(p.tiles)
-    rays, _ = eliminate(p.observations, linear.table, unknowns.tiles, linear.prior, free, zero, tiles, p.shape)
+    rays, _ = eliminate(
+        p.observations, linear.table, unknowns.tiles, linear.prior, free, zero, tiles, p.shape, p.diagonal_pair
+    )
     system = reduced_system(lax.psum(rays, axis) if axis else rays, linear.kept, p).system
     factor = factorise(p.reduced, system, zero)
     q = reduced_cofactors(p.reduced, factor)

@@ -15,7 +15,7 @@ from typing import NamedTuple
 
 import jax.numpy as jnp
 from jax import lax
-from jaxtyping import Array, Bool, Float
+from jaxtyping import Array, Bool, Float, Int
 
 from jaxbundle.block.residuals import Observations
 from jaxbundle.block.unknowns import Unknowns
@@ -30,13 +30,14 @@ FACTOR = 12  # numbers kept of a point: factor (6), gradient (3), diagonal of V 
 
 class Shape(NamedTuple):
     """Static sizes: unknowns an image (6, or more where every image has its own camera), interior elements a shared
-    camera, shared cameras, kept points, blocks of the pool."""
+    camera, shared cameras, kept points, blocks of the pool, whether the reduced matrix is not formed."""
 
     image: int
     shared: int
     cameras: int
     kept: int
     pool: int
+    implicit: bool  # the pool has diagonal blocks only
 
     @property
     def border(self) -> int:
@@ -179,6 +180,7 @@ def eliminate(
     damping: Array,
     tiles: Tiles,
     shape: Shape,
+    diagonal_pair: Int[Array, " image"],
 ) -> tuple[ImageSums, Float[Array, "tile numbers"]]:
     """All chunks of one device: sums for the reduced equations, and factor, gradient and diagonal of every point."""
     d, q, images, n = shape.image, shape.shared, table.shape[0], points.shape[2]
@@ -189,7 +191,12 @@ def eliminate(
         e = eliminate_chunk(observations, table, points, prior, free, damping, tiles, c)
         image = sums.image.at[e.chunk.slot_image].add(_image_products(e), mode="promise_in_bounds")
         coupling = coupling_rows(e, 0, d)
-        pool = _add_tile_products(sums.pool, coupling, tiles, c, e.chunk.tile_count, d)
+        if shape.implicit:
+            own = coupling.reshape(SLOTS, d, -1)
+            product = lax.dot_general(own, own, (((2,), (2,)), ((0,), (0,))))
+            pool = sums.pool.at[diagonal_pair[e.chunk.slot_image]].add(product, mode="promise_in_bounds")
+        else:
+            pool = _add_tile_products(sums.pool, coupling, tiles, c, e.chunk.tile_count, d)
         sums = sums._replace(pool=pool, image=image)
         if border:
             eb = border_rows(e, observations, shape)

@@ -14,7 +14,8 @@ from jaxbundle.normals.reduced_system import ReducedSolver
 from jaxbundle.normals.symbolic import symbolic
 from jaxbundle.numerics.shapes import grid_size
 
-Method = Literal["auto", "dense", "panels"]
+Method = Literal["auto", "dense", "panels", "pcg"]
+LARGEST_FACTOR = 4e9  # bytes; a larger one is not formed where nothing asks for its inverse
 DENSE_UNKNOWNS = 160  # measured: up to here one dense matrix is as fast as tiles, and it compiles in half the time
 SMALL_UNKNOWNS, SMALL_ROWS, ROWS = 2500, 72, 144  # measured: 72 rows a tile are faster up to 2500 unknowns, 144 beyond
 
@@ -32,6 +33,7 @@ class ReducedPlan:
     images: int
     pool: int
     solver: ReducedSolver
+    method: Method
 
 
 def panel_width(images: int, d: int) -> int:
@@ -51,18 +53,30 @@ def reduced_plan(
 ) -> ReducedPlan:
     """The plan for `images` images with `d` unknowns each that share points in `pairs`; `q` images a panel.
 
+    "dense" and "panels" factorise the matrix; "pcg" has the diagonal blocks only, as a preconditioner.
     With several devices the solver's functions run inside a shard_map over `axis`, all of their arrays replicated.
     """
     q = q or panel_width(images, d)
-    dense = images * d <= DENSE_UNKNOWNS if method == "auto" else method == "dense"
-    order = elimination_order(pairs, images, q, 1 if dense else devices)
+    if method == "auto":
+        method = "dense" if images * d <= DENSE_UNKNOWNS else "panels"
+    devices = devices if method == "panels" else 1  # what is not shared out, every device does
+    order = elimination_order(pairs, images, q, devices)
     pairs = ranked_pairs(pairs, order.rank)
+    if method == "pcg":
+        pairs = pairs[pairs[:, 0] == pairs[:, 1]]
     padded, pool = grid_size(images + 1), grid_size(len(pairs) + 1)
     pair = np.full((pool, 2), padded, np.int32)
     pair[: len(pairs)] = pairs
     pair = jnp.asarray(pair)
-    if dense:
+    if method == "dense":
         way = DenseCholesky(pair, jnp.arange(padded, dtype=jnp.int32))
     else:
         way = PanelCholesky(symbolic(pairs, order, q, devices, padded, pool), axis if devices > 1 else None)
-    return ReducedPlan(order.rank, pairs, padded, pool, ReducedSolver(pair, way))
+    return ReducedPlan(order.rank, pairs, padded, pool, ReducedSolver(pair, way), method)
+
+
+def too_large(pairs: Int[np.ndarray, "pair 2"], images: int, d: int) -> bool:
+    """Whether the factor is: all blocks from the first one of a row to its diagonal, in a good order."""
+    ranked = ranked_pairs(pairs, elimination_order(pairs, images, 1, 1).rank)
+    first = np.minimum.reduceat(ranked[:, 1], np.searchsorted(ranked[:, 0], np.arange(images)))
+    return 8.0 * d * d * float((np.arange(images) - first + 1).sum()) > LARGEST_FACTOR

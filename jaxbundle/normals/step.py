@@ -11,6 +11,7 @@ from typing import Any, NamedTuple
 import equinox as eqx
 import jax
 import jax.numpy as jnp
+import numpy as np
 from jax import lax
 from jax.sharding import NamedSharding, PartitionSpec
 from jaxtyping import Array, Bool, Float
@@ -20,8 +21,9 @@ from jaxbundle.block.unknowns import Correction, Unknowns, attitude_derivatives,
 from jaxbundle.normals.arrange import Arranged, Problem
 from jaxbundle.normals.cells import Tiles
 from jaxbundle.normals.eliminate import ImageSums, eliminate, image_table
+from jaxbundle.normals.implicit import KeptVector, conjugate_gradients, kept_product, ray_product
 from jaxbundle.normals.kept import KeptSums, add_group, add_kept_rays, no_sums
-from jaxbundle.normals.reduced_system import ReducedSystem, factorise, step
+from jaxbundle.normals.reduced_system import ReducedSystem, factorise, solve, step
 from jaxbundle.normals.rows import image_equation
 from jaxbundle.normals.substitute import image_values, substitute
 
@@ -77,7 +79,7 @@ class Reduced(NamedTuple):
 
 def reduced_system(rays: ImageSums, kept: KeptSums, p: Problem) -> Reduced:
     """The reduced normal equations of images and border from all sums."""
-    o, (d, q, cameras, kept_points, _) = p.observations, p.shape
+    o, (d, q, cameras, kept_points, *_) = p.observations, p.shape
     m, inner = d + q + 2, q * cameras
     u, gradient = rays.image[:, :d, :d] + kept.diagonal, rays.image[:, :d, m - 2] + kept.gradient
     coupling, border, border_gradient = kept.coupling, kept.border, kept.border_gradient
@@ -115,11 +117,11 @@ def correction_of(
     images: Float[Array, "image d"], border: Float[Array, " border"], p: Problem, unknowns: Arranged
 ) -> Correction:
     """A step of the kept unknowns as a correction of them."""
-    o, (d, q, cameras, _, _) = p.observations, p.shape
+    o, (d, q, cameras, *_) = p.observations, p.shape
     by_camera = images[:, 6:] if d > 6 else border[: q * cameras].reshape(cameras, q)
     interior = jnp.zeros_like(unknowns.images.interior)
     if o.columns:
-        interior = interior.at[jnp.array(o.columns)].set(by_camera.T)
+        interior = interior.at[np.array(o.columns)].set(by_camera.T)
     return Correction(images[:, :6].T, interior, border[q * cameras :].reshape(-1, 3).T)
 
 
@@ -152,9 +154,14 @@ def _on_device(
         return lax.psum(x, axis) if axis else x
 
     tiles = local_tiles(p.tiles)
-    rays, factors = eliminate(o, linear.table, unknowns.tiles, linear.prior, free, damping, tiles, p.shape)
+    rays, factors = eliminate(
+        o, linear.table, unknowns.tiles, linear.prior, free, damping, tiles, p.shape, p.diagonal_pair
+    )
     system, gradient, border_gradient = reduced_system(total(rays), linear.kept, p)
-    images, border = step(p.reduced, factorise(p.reduced, system, damping))
+    if p.shape.implicit:
+        images, border = _solve_implicitly(unknowns, linear, damping, p, tiles, factors, system, axis)
+    else:
+        images, border = step(p.reduced, factorise(p.reduced, system, damping))
     correction = correction_of(images, border, p, unknowns)
     direction = direction_of(correction, linear.turns)
     moved = corrected(unknowns.images, correction, o.in_angles, o.system)
@@ -172,6 +179,49 @@ def _on_device(
         damped_step + damping * squares,
         jnp.isfinite(jnp.sum(images)) & jnp.isfinite(jnp.sum(border)) & jnp.isfinite(reduction),
     )
+
+
+def _solve_implicitly(
+    unknowns: Arranged,
+    linear: Linearised,
+    damping: Array,
+    p: Problem,
+    tiles: Tiles,
+    factors: Array,
+    system: ReducedSystem,
+    axis: str | None,
+) -> KeptVector:
+    """The step of the kept unknowns by conjugate gradients."""
+    o, (d, q, *_) = p.observations, p.shape
+    # with the coupling, but without the blocks of pairs of images, it might not be positive
+    diagonal = eqx.tree_at(lambda s: s.coupling, system, jnp.zeros_like(system.coupling))
+    factor = factorise(p.reduced, diagonal, damping)
+    before = image_values(unknowns.images, o)
+    free = KeptVector(system.free, system.border_free)
+    damped = KeptVector(damping * system.diagonal, damping * system.border_diagonal)
+
+    def only_free(x: KeptVector) -> KeptVector:
+        return jax.tree.map(lambda f, v: jnp.where(f, v, 0.0), free, x)
+
+    def product(x: KeptVector) -> KeptVector:
+        direction = direction_of(correction_of(x.images, x.border, p, unknowns), linear.turns)
+        rows = ray_product(o, before, image_values(direction, o), unknowns.tiles, factors, tiles)
+        rows = lax.psum(rows, axis) if axis else rows
+        angles = jnp.einsum("eai,ie->ia", linear.turns, rows[:, :9])
+        interior = rows[:, 12:][:, np.array(o.columns, int)]
+        images, border = kept_product(linear.kept, x)
+        if d == 6 and q:
+            columns = q * o.image_camera[:, None] + jnp.arange(q)
+            border = border.at[columns].add(interior)
+        parts = [rows[:, 9:12], angles] + ([interior] if d > 6 else [])
+        images = images + jnp.concatenate(parts, 1) + damped.images * x.images
+        return only_free(KeptVector(images, border + damped.border * x.border))
+
+    def precondition(r: KeptVector) -> KeptVector:
+        images, border = solve(p.reduced, factor, r.images[..., None], r.border[:, None])
+        return KeptVector(images[..., 0], border[:, 0])
+
+    return conjugate_gradients(product, precondition, only_free(KeptVector(system.right, system.border_right)))
 
 
 def device_mesh(devices: int) -> jax.sharding.Mesh:

@@ -25,8 +25,10 @@ from jaxbundle.normals.tiles import MOST_TILES
 
 
 class Substituted(NamedTuple):
-    """Points after the step; v^T P v / 2 of the rays before it, and its reduction; |change of v|^2; sums over the points
-    of g . d and d . lambda D d."""
+    """Points after the step; v^T P v / 2 of the rays before it, its reduction, |change of v|^2; sums over the points.
+
+    `gradient_step` is g . d, `damped_step` d . lambda D d.
+    """
 
     points: Float[Array, "3 tile column"]
     cost: Float[Array, ""]
@@ -42,7 +44,8 @@ def image_values(unknowns: Unknowns, observations: Observations) -> Float[Array,
     return jnp.concatenate([unknowns.rotation, unknowns.centre, interior]).T
 
 
-def _split(numbers: list[Array]) -> tuple[Rotation, Vector, tuple[Scalar, ...]]:
+def split_values(numbers: list[Array]) -> tuple[Rotation, Vector, tuple[Scalar, ...]]:
+    """A row of `image_values` as rotation, centre and interior."""
     return tuple(numbers[:9]), (numbers[9], numbers[10], numbers[11]), tuple(numbers[12:])
 
 
@@ -63,7 +66,7 @@ def substitute(
     def do_chunk(c: Array, carry: Substituted) -> Substituted:
         chunk = chunk_of(tiles, c)
         numbers = at_slots(table, chunk.slot_image)
-        old, along, new = (_split(numbers[k * width : (k + 1) * width]) for k in range(3))
+        old, along, new = (split_values(numbers[k * width : (k + 1) * width]) for k in range(3))
         tile = chunk.first_tile + chunk.tile
         point = points_at_cells(chunk, list(points), tile, old[0], old[1])
         v, moved = jax.jvp(lambda r, x, i: image_equation(model, r, x, i, point, chunk.measured), old, along)

@@ -69,10 +69,11 @@ def adjust(
 
     `method`: "levenberg-marquardt" or "gauss-newton". `stop`: a stopping rule, AngleRule() if none is given.
     `precision`: compute cofactors and standard deviations. `engine`: "block", or "jaxopt" as a second opinion on small
-    blocks. `reduced`: how the reduced equations are solved, "dense" or "panels", "auto" by their size. `devices`: JAX
-    devices to deal the points to; if None all of them, or one for a small block. `checkpoint`: a file that keeps the
-    state after every accepted iteration; where it exists the solve goes on from it. `progress` is called after every
-    iteration. Ctrl-C ends the iterations and keeps the last accepted unknowns.
+    blocks. `reduced`: how the reduced equations are solved, "dense", "panels" or "pcg" (conjugate gradients, which give
+    no standard deviations), "auto" by their size. `devices`: JAX devices to deal the points to; if None all of them, or
+    one for a small block. `checkpoint`: a file that keeps the state after every accepted iteration; where it exists the
+    solve goes on from it. `progress` is called after every iteration. Ctrl-C ends the iterations and keeps the last
+    accepted unknowns.
 
     Raises: BlockError with all problems of the block; CheckpointError for a checkpoint of another block; ValueError for
     an unknown name or without float64.
@@ -80,6 +81,8 @@ def adjust(
     require_float64()
     if method not in METHODS or engine not in ENGINES:
         raise ValueError(f"no method {method!r} with engine {engine!r}; there are {list(METHODS)} and {list(ENGINES)}")
+    if precision and reduced == "pcg":
+        raise ValueError("conjugate gradients give no standard deviations: call adjust(..., precision=False)")
     if block.concrete:
         require_valid(block)
     block = with_datum(block)
@@ -87,7 +90,7 @@ def adjust(
     centred = block.moved(-origin)
     rule, optimised = stop or AngleRule(), len(block.structure.ray_image) >= RAYS_FOR_OPTIMISATION
     centres = np.asarray(block.exterior.projection_centre) if block.concrete else None
-    plan = arrange(block.structure, block.groups, centres, devices or _useful_devices(block), reduced)
+    plan = arrange(block.structure, block.groups, centres, devices or _useful_devices(block), reduced, precision)
     arguments = Arguments(problem(plan, centred), rule.arranged(plan.order))
     if engine == "jaxopt":
         # jaxopt warns at import that it is no longer developed: only who asks for it shall load it

@@ -8,7 +8,13 @@ import jax.numpy as jnp
 from jaxtyping import Array, Float, Int
 
 from jaxbundle.block.block import Block
+from jaxbundle.normals.implicit import TOLERANCE
 
+REDUCED = {
+    "dense": "dense Cholesky factorisation",
+    "panels": "sparse Cholesky factorisation in panels of images",
+    "pcg": f"preconditioned conjugate gradients to {TOLERANCE:.0e} of the right-hand side",
+}
 MOST_NAMED = 10  # undetermined unknowns in a summary
 
 
@@ -76,6 +82,7 @@ class Adjustment(eqx.Module):
     iterations: Iterations
     stopping_rule: str = eqx.field(static=True)
     method: str = eqx.field(static=True)
+    reduced: str = eqx.field(static=True)  # how the reduced equations were solved
     undetermined: tuple[str, ...] = eqx.field(static=True, default=())
 
     @property
@@ -161,6 +168,7 @@ class Adjustment(eqx.Module):
             f" stopping rule {self.stopping_rule}: {float(n.measure):.1e})",
             f"Observations {self.observations}, unknowns {self.unknowns}, redundancy {self.redundancy}",
             f"Datum: {structure.datum}",
+            f"Reduced equations: {REDUCED[self.reduced]}",
             f"vTPv {float(n.initial_cost) * 2:.8g} -> {float(self.vtpv):.8g}, sigma0 {float(self.sigma0):.6g}",
             *(f"Undetermined: {name}" for name in self.undetermined[:MOST_NAMED]),
         ]

@@ -67,7 +67,7 @@ def adjustment(
         blocks = _cofactors(block, plan, answer)
         weak = undetermined_unknowns(block.structure, plan, answer.cofactors) if block.concrete else ()
     adjusted = _adjusted(block, plan, arranged, answer.angles, origin)
-    return Adjustment(adjusted, residuals, weighted, blocks, iterations, rule, method, weak)
+    return Adjustment(adjusted, residuals, weighted, blocks, iterations, rule, method, plan.method, weak)
 
 
 def _residuals(
