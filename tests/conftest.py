@@ -5,7 +5,7 @@ import jax
 import pytest
 
 jax.config.update("jax_enable_x64", True)
-jax.config.update("jax_num_cpu_devices", 2)
+jax.config.update("jax_num_cpu_devices", 4)
 
 SHARED_DATA = Path(__file__).parents[2] / "shared" / "data"
 

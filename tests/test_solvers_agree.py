@@ -96,9 +96,9 @@ def test_stopping_rules(block, reference, name):
 def test_unknown_names_are_refused(block):
     with pytest.raises(ValueError, match="K9 of camera"):
         unknown_rule(block, 1e-6, ("camera", "K9"))
-    for wrong in ({"method": "newton"}, {"engine": "ceres"}):
+    for method, engine in (("newton", "block"), ("gauss-newton", "ceres")):
         with pytest.raises(ValueError, match="levenberg-marquardt.*gauss-newton.*jaxopt"):
-            adjust(block, **wrong)
+            adjust(block, method=method, engine=engine)
 
 
 def test_too_few_iterations_are_told(block):

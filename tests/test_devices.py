@@ -1,0 +1,52 @@
+"""The points dealt to one, two and four devices: the same answer."""
+
+from collections.abc import Callable
+
+import jax
+import jax.numpy as jnp
+import numpy as np
+import pytest
+from simulated import small_block
+from test_elimination import with_distances, with_private_cameras
+
+from jaxbundle.block.block import Block
+from jaxbundle.block.unknowns import unknowns_of
+from jaxbundle.normals.arrange import arrange, arranged_unknowns, problem, restored_unknowns
+from jaxbundle.normals.step import trial_step
+from jaxbundle.numerics.compilation import Compiled
+from jaxbundle.solve.adjust import adjust
+
+compiled_step = Compiled(trial_step)
+
+
+def step(block: Block, devices: int):
+    """Reductions and unknowns of one step."""
+    block = block.moved(-np.mean(block.exterior.projection_centre, 0))
+    plan = arrange(block.structure, block.groups, np.asarray(block.exterior.projection_centre), devices, "panels")
+    start = arranged_unknowns(plan, unknowns_of(block))
+    trial = compiled_step(start, problem(plan, block), jnp.array(1e-3), optimised=False)
+    return trial, restored_unknowns(plan, trial.unknowns)
+
+
+@pytest.mark.parametrize("make", [with_distances, with_private_cameras], ids=["shared camera", "private cameras"])
+def test_one_step_is_the_same(make: Callable[[Block], Block]) -> None:
+    assert jax.local_device_count() == 4
+    block = make(small_block().block)
+    one, unknowns = step(block, 1)
+    for devices in (2, 4):
+        other, moved = step(block, devices)
+        for name in ("cost", "reduction", "predicted", "moved"):
+            np.testing.assert_allclose(getattr(other, name), getattr(one, name), rtol=1e-12)
+        for a, b in zip(jax.tree.leaves(moved), jax.tree.leaves(unknowns), strict=True):
+            np.testing.assert_allclose(a, b, rtol=1e-12, atol=1e-12 * float(jnp.abs(b).max()))
+
+
+def test_the_adjustment_is_the_same() -> None:
+    block = small_block().block
+    one, two = (adjust(block, devices=devices, reduced="panels") for devices in (1, 2))
+    np.testing.assert_allclose(two.sigma0, one.sigma0, rtol=1e-12)
+    sd = one.standard_deviations
+    for a, b in zip(two.standard_deviations, sd, strict=True):
+        np.testing.assert_allclose(a, b, rtol=1e-9)
+    off = np.abs(two.block.object_points - one.block.object_points)
+    assert np.all(off <= 1e-6 * np.maximum(sd.object_points, 1e-9))
