@@ -94,7 +94,9 @@ def assert_chi_square(total: float, degrees: int) -> None:
     assert lower < total < upper, (total / degrees, lower / degrees, upper / degrees)
 
 
-def assert_scatter(errors: Float[np.ndarray, "draw element"], cofactors: Float[Array, "element element"]) -> None:
+def assert_scatter(
+    errors: Float[np.ndarray, "draw element"], cofactors: Float[Array | np.ndarray, "element element"]
+) -> None:
     """Normed errors of one vector over all draws."""
     normed = np.linalg.solve(np.linalg.cholesky(np.asarray(cofactors)), np.asarray(errors).T)
     assert_chi_square(float((normed**2).sum()), normed.size)

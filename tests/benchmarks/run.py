@@ -126,8 +126,8 @@ def main() -> None:
     parser.add_argument("--rounds", type=int, default=3)
     options = parser.parse_args()
     with tempfile.TemporaryDirectory() as folder:
-        files = options.files
-        for name, size in {} if files else SIZES.items():
+        files: list[Path] = options.files
+        for name, size in [] if options.files else list(SIZES.items()):
             files = [*files, Path(folder) / f"{name}.txt"]
             write_block(files[-1], *size)
         program = build_ceres(Path(folder))
