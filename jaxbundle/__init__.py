@@ -40,6 +40,7 @@ if TYPE_CHECKING:
     from jaxbundle.camera.collinearity import collinearity
     from jaxbundle.camera.model import CAMERA_MODELS, CameraModel
     from jaxbundle.io import read, read_bal, read_block_folder, write_bal, write_block_folder
+    from jaxbundle.planning.flight import AerialCamera
     from jaxbundle.planning.simulate import Simulation, simulate
     from jaxbundle.report import report_dict, report_text, write_report
     from jaxbundle.solve.adjust import Progress, adjust
@@ -89,6 +90,7 @@ _MODULES = {
         "write_bal",
         "write_block_folder",
     ),
+    "planning.flight": ("AerialCamera",),
     "planning.simulate": (
         "Simulation",
         "simulate",
@@ -122,6 +124,7 @@ __all__ = [
     "DISTANCES",
     "STATIONS",
     "Adjustment",
+    "AerialCamera",
     "AngleRule",
     "Block",
     "BlockError",
