@@ -31,15 +31,16 @@ AXIS = "device"
 
 
 class Trial(NamedTuple):
-    """A trial step at some damping; all reductions belong to v^T P v / 2."""
+    """A trial step at some damping; all reductions belong to v^T P v / 2.
+
+    `moved` is |change of v|^2, of first order |J d|^2: a sum of squares, which g . d is not, and so free of cancellation.
+    """
 
     unknowns: Arranged
     cost: Float[Array, ""]
     reduction: Float[Array, ""]
     predicted: Float[Array, ""]
-    moved: Float[
-        Array, ""
-    ]  # |change of v|^2, of first order |J d|^2; a sum of squares, unlike g . d free of cancellation
+    moved: Float[Array, ""]
     noise: Float[Array, ""]
     finite: Bool[Array, ""]
 
