@@ -33,7 +33,7 @@ AXIS = "device"
 class Trial(NamedTuple):
     """A trial step at some damping; all reductions belong to v^T P v / 2.
 
-    `moved` is |change of v|^2, of first order |J d|^2: a sum of squares, which g . d is not, and so free of cancellation.
+    `moved` is |change of v|^2, of first order |J d|^2: a sum of squares and so, unlike g . d, free of cancellation.
     """
 
     unknowns: Arranged
