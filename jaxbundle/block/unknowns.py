@@ -65,7 +65,9 @@ def _rotations(block: Block) -> Float[Array, "9 image"]:
         return jnp.stack(system.rotation_from_angles(*angles.T))
     padded = np.zeros((3, grid_size(len(angles))))
     padded[:, : len(angles)] = angles.T
-    return jnp.asarray(np.asarray(_compiled_rotations(system, jnp.asarray(padded), optimised=False))[:, : len(angles)])
+    with jax.ensure_compile_time_eval():  # also inside of a jit, where the angles may be constants
+        rotations = np.asarray(_compiled_rotations(system, jnp.asarray(padded), optimised=False))
+    return jnp.asarray(rotations[:, : len(angles)])
 
 
 _compiled_rotations = Compiled(lambda system, angles: jnp.stack(system.rotation_from_angles(*angles)))

@@ -6,6 +6,8 @@ from typing import Any
 import equinox as eqx
 import jax
 
+from jaxbundle.numerics.host import is_concrete
+
 RAYS_FOR_OPTIMISATION = 20_000  # below, an adjustment takes less time than optimising its program
 QUICKLY = {"xla_backend_optimization_level": 0}
 
@@ -27,6 +29,9 @@ class Compiled:
 
     def __call__(self, *args: Any, optimised: bool) -> Any:
         """The function's value."""
+        if not is_concrete(args):  # inside another program there is nothing to compile here
+            return self.function(*args)
         arrays, rest = eqx.partition(args, eqx.is_array)
         leaves, structure = jax.tree.flatten(rest)
-        return (self._optimised if optimised else self._quick)((tuple(leaves), structure), arrays)
+        with jax.ensure_compile_time_eval():  # concrete arguments inside of a jit, as a block's structure gives them
+            return (self._optimised if optimised else self._quick)((tuple(leaves), structure), arrays)

@@ -85,9 +85,11 @@ class ParallaxRule(AbstractStoppingRule):
     def arranged(self, order: Order) -> "ParallaxRule":
         rays = self.rays
         moved = (
-            jnp.asarray(order.image)[rays.ray_image],
-            jnp.asarray(order.point)[rays.ray_point],
-            jnp.zeros(order.images, jnp.int32).at[order.image].set(jnp.asarray(order.camera)[rays.image_camera]),
+            jnp.asarray(order.image, jnp.int32)[rays.ray_image],
+            jnp.asarray(order.point, jnp.int32)[rays.ray_point],
+            jnp.zeros(order.images, jnp.int32)
+            .at[order.image]
+            .set(jnp.asarray(order.camera, jnp.int32)[rays.image_camera]),
         )
         return eqx.tree_at(lambda r: (r.rays.ray_image, r.rays.ray_point, r.rays.image_camera), self, moved)
 
