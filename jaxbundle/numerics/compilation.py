@@ -33,5 +33,4 @@ class Compiled:
             return self.function(*args)
         arrays, rest = eqx.partition(args, eqx.is_array)
         leaves, structure = jax.tree.flatten(rest)
-        with jax.ensure_compile_time_eval():  # concrete arguments inside of a jit, as a block's structure gives them
-            return (self._optimised if optimised else self._quick)((tuple(leaves), structure), arrays)
+        return (self._optimised if optimised else self._quick)((tuple(leaves), structure), arrays)
