@@ -17,6 +17,7 @@ from jaxbundle.block.block import Block
 from jaxbundle.block.unknowns import unknowns_of
 from jaxbundle.camera.model import ImagePoint
 from jaxbundle.geometry import rotation
+from jaxbundle.numerics.host import on_device
 
 NEWTON_STEPS = 10  # a correction of the measurement needs one, a strong distortion of the projection about six
 PARALLEL = 1e-12  # squared sine of the angle between two rays: below, it is rounding that makes them meet
@@ -33,10 +34,10 @@ def intersect(block: Block) -> Block:
     if not len(rays):
         return block
     image = block.structure.ray_image[rays]
-    directions = np.asarray(_directions(block, jnp.asarray(rays), jnp.asarray(image)))
+    directions = np.asarray(_directions(block, on_device(rays), on_device(image)))
     centres = np.asarray(block.exterior.projection_centre).T[:, image]
     closest = _closest_to_rays(directions, centres, block.structure.ray_point[rays], len(points))
-    return eqx.tree_at(lambda b: b.object_points, block, jnp.asarray(np.where(missing, closest.T, points)))
+    return eqx.tree_at(lambda b: b.object_points, block, on_device(np.where(missing, closest.T, points)))
 
 
 @eqx.filter_jit

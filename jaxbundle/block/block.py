@@ -11,14 +11,13 @@ from dataclasses import dataclass, field
 from functools import cached_property
 
 import equinox as eqx
-import jax.numpy as jnp
 import numpy as np
 from jaxtyping import Array, Bool, Float, Int
 
 from jaxbundle.block.observations import ObservationGroup
 from jaxbundle.camera.model import CameraModel, mixture
 from jaxbundle.geometry.rotation import OMEGA_PHI_KAPPA, RotationSystem
-from jaxbundle.numerics.host import is_concrete, on_host
+from jaxbundle.numerics.host import is_concrete, on_device, on_host
 
 CENTRE_ELEMENTS = ("X0", "Y0", "Z0")
 
@@ -161,7 +160,7 @@ class Block(eqx.Module):
         shift = on_host(shift)
 
         def moved(coordinates: Float[Array, "entity 3"]) -> Float[Array, "entity 3"]:
-            return jnp.asarray(on_host(coordinates) + shift)
+            return on_device(on_host(coordinates) + shift)
 
         groups = tuple(
             eqx.tree_at(lambda g: g.values, group, moved(group.values))

@@ -24,6 +24,7 @@ from jaxbundle.block.residuals import Observations, group_residuals, observation
 from jaxbundle.block.unknowns import Unknowns, unknowns_of
 from jaxbundle.geometry import rotation
 from jaxbundle.numerics.compilation import Compiled
+from jaxbundle.numerics.host import on_device
 from jaxbundle.numerics.shapes import grid_size
 
 RANK_TOLERANCE = 1e-8  # singular values are of order 1 for control spread over the block
@@ -79,7 +80,7 @@ def _padded_indices(mask: Bool[np.ndarray, " entity"]) -> Int[Array, " padded"]:
     index = np.nonzero(mask)[0]
     padded = np.full(grid_size(len(index)), np.argmin(mask))
     padded[: len(index)] = index
-    return jnp.asarray(padded, jnp.int32)
+    return on_device(padded, jnp.int32)
 
 
 def _axis(direction: Float[np.ndarray, "3"]) -> str:

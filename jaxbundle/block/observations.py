@@ -24,7 +24,7 @@ from jaxtyping import Array, Bool, Float, Int
 
 from jaxbundle.camera.collinearity import Vector
 from jaxbundle.geometry.rotation import Rotation, Scalar
-from jaxbundle.numerics.host import on_host
+from jaxbundle.numerics.host import on_device, on_host
 
 
 @dataclass(frozen=True)
@@ -57,7 +57,7 @@ class ObservationGroup(eqx.Module):
     @property
     def weights(self) -> Float[Array, "member component"]:
         """Square roots of the weights: 1/sigma, 0 where nothing is observed."""
-        return jnp.asarray(np.asarray(self.structure.observed) / on_host(self.sigmas))
+        return on_device(np.asarray(self.structure.observed) / on_host(self.sigmas))
 
     @property
     def count(self) -> int:
@@ -93,5 +93,5 @@ def observation_group(
     observed = np.isfinite(values) & np.isfinite(sigmas)
     structure = GroupStructure(kind, np.asarray(indices, np.int32), observed)
     return ObservationGroup(
-        structure, jnp.asarray(np.where(observed, values, 0.0)), jnp.asarray(np.where(observed, sigmas, 1.0))
+        structure, on_device(np.where(observed, values, 0.0)), on_device(np.where(observed, sigmas, 1.0))
     )

@@ -14,7 +14,7 @@ from jaxbundle.block.unknowns import Unknowns, corrected_in_angles
 from jaxbundle.camera.collinearity import photo_vector
 from jaxbundle.camera.model import CameraModel
 from jaxbundle.geometry.rotation import RotationSystem
-from jaxbundle.numerics.host import on_host
+from jaxbundle.numerics.host import on_device, on_host
 
 
 class Group(eqx.Module):
@@ -50,9 +50,9 @@ def observations_of(block: Block) -> Observations:
     groups = tuple(
         Group(
             group.structure.kind,
-            jnp.asarray(group.structure.indices.T),
-            jnp.asarray(on_host(group.values).T),
-            jnp.asarray(on_host(group.weights).T),
+            on_device(group.structure.indices.T),
+            on_device(on_host(group.values).T),
+            on_device(on_host(group.weights).T),
         )
         for group in block.groups
     )
@@ -60,16 +60,16 @@ def observations_of(block: Block) -> Observations:
         structure.model,
         structure.interior_columns,
         structure.rotation_system,
-        jnp.asarray(structure.image_camera, jnp.int32),
-        jnp.asarray(structure.ray_image, jnp.int32),
-        jnp.asarray(structure.ray_point, jnp.int32),
-        jnp.asarray(on_host(block.rays.coordinates).T),
-        jnp.asarray(1 / on_host(block.rays.sigmas).T),
+        on_device(structure.image_camera, jnp.int32),
+        on_device(structure.ray_image, jnp.int32),
+        on_device(structure.ray_point, jnp.int32),
+        on_device(on_host(block.rays.coordinates).T),
+        on_device(1 / on_host(block.rays.sigmas).T),
         groups,
-        jnp.asarray(structure.exterior_free.T),
-        jnp.asarray(structure.interior_free.T[list(structure.interior_columns)]),
-        jnp.asarray(structure.point_free.T),
-        None if in_angles is None else jnp.asarray(in_angles),
+        on_device(structure.exterior_free.T),
+        on_device(structure.interior_free.T[list(structure.interior_columns)]),
+        on_device(structure.point_free.T),
+        None if in_angles is None else on_device(in_angles),
     )
 
 

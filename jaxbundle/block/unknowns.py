@@ -22,7 +22,7 @@ from jaxbundle.block.block import Block, ExteriorOrientation, InteriorOrientatio
 from jaxbundle.geometry import rotation
 from jaxbundle.geometry.rotation import Angles, Rotation, RotationSystem
 from jaxbundle.numerics.compilation import Compiled
-from jaxbundle.numerics.host import is_concrete, on_host
+from jaxbundle.numerics.host import is_concrete, on_device, on_host
 from jaxbundle.numerics.shapes import grid_size
 
 
@@ -52,9 +52,9 @@ def unknowns_of(block: Block) -> Unknowns:
         interior = (np if is_concrete(interior) else jnp).concatenate([interior, kind])
     return Unknowns(
         _rotations(block),
-        jnp.asarray(on_host(block.exterior.projection_centre).T),
-        jnp.asarray(interior),
-        jnp.asarray(on_host(block.object_points).T),
+        on_device(on_host(block.exterior.projection_centre).T),
+        on_device(interior),
+        on_device(on_host(block.object_points).T),
     )
 
 
@@ -66,11 +66,13 @@ def _rotations(block: Block) -> Float[Array, "9 image"]:
     padded = np.zeros((3, grid_size(len(angles))))
     padded[:, : len(angles)] = angles.T
     with jax.ensure_compile_time_eval():  # also inside of a jit, where the angles may be constants
-        rotations = np.asarray(_compiled_rotations(system, jnp.asarray(padded), optimised=False))
-    return jnp.asarray(rotations[:, : len(angles)])
+        rotations = np.asarray(_compiled_rotations(system, on_device(padded), optimised=False))
+    return on_device(rotations[:, : len(angles)])
 
 
-_compiled_rotations = Compiled(lambda system, angles: jnp.stack(system.rotation_from_angles(*angles)))
+@Compiled
+def _compiled_rotations(system: RotationSystem, angles: Float[Array, "3 image"]) -> Float[Array, "9 image"]:
+    return jnp.stack(system.rotation_from_angles(*angles))
 
 
 def with_unknowns(block: Block, unknowns: Unknowns) -> Block:

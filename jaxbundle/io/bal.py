@@ -22,6 +22,7 @@ from jaxbundle.block.problems import BlockError, Problem
 from jaxbundle.camera.model import BAL
 from jaxbundle.geometry import rotation
 from jaxbundle.geometry.rotation import OMEGA_PHI_KAPPA
+from jaxbundle.numerics.host import on_device
 
 HEAD = 200  # characters that hold the first line
 Numbers = Float[np.ndarray, " number"]
@@ -58,9 +59,9 @@ def read_bal(path: str | Path, estimate_interior: bool = True) -> Block:
     return Block(
         structure,
         ExteriorOrientation(centre.T, angles.T),
-        InteriorOrientation(jnp.asarray(parameters[:, 6:])),
-        jnp.asarray(coordinates.reshape(-1, 3)),
-        Rays(jnp.asarray(rays[:, 2:]), jnp.ones((observations, 2))),
+        InteriorOrientation(on_device(parameters[:, 6:])),
+        on_device(coordinates.reshape(-1, 3)),
+        Rays(on_device(rays[:, 2:]), jnp.ones((observations, 2))),
         (),
         CheckPoints(jnp.zeros((0, 3)), jnp.zeros((0, 3))),
     )

@@ -12,6 +12,7 @@ from jaxbundle.normals.ordering import elimination_order, ranked_pairs
 from jaxbundle.normals.panel_cholesky import PanelCholesky
 from jaxbundle.normals.reduced_system import ReducedSolver
 from jaxbundle.normals.symbolic import symbolic
+from jaxbundle.numerics.host import on_device
 from jaxbundle.numerics.shapes import grid_size
 
 Method = Literal["auto", "dense", "panels", "pcg"]
@@ -67,7 +68,7 @@ def reduced_plan(
     padded, pool = grid_size(images + 1), grid_size(len(pairs) + 1)
     pair = np.full((pool, 2), padded, np.int32)
     pair[: len(pairs)] = pairs
-    pair = jnp.asarray(pair)
+    pair = on_device(pair)
     if method == "dense":
         way = DenseCholesky(pair, jnp.arange(padded, dtype=jnp.int32))
     else:

@@ -22,6 +22,7 @@ import numpy as np
 from jaxtyping import Array, Bool, Int
 
 from jaxbundle.normals.ordering import Order
+from jaxbundle.numerics.host import on_device
 from jaxbundle.numerics.shapes import grid_size
 
 
@@ -120,13 +121,13 @@ def _padded(arrays: list, length: int, value: int = 0) -> Array:
     out = [np.full((length, *np.shape(a)[1:]), value, np.int32) for a in arrays]
     for padded, a in zip(out, arrays, strict=True):
         padded[: len(a)] = a
-    return jnp.asarray(np.stack(out))
+    return on_device(np.stack(out))
 
 
 def _columns(lists: list[_Lists], blocks: list[np.ndarray], columns: int, tiles: int, waste: int) -> Columns:
     """The padded lists of all parts."""
     return Columns(
-        jnp.asarray([s.columns for s in lists], jnp.int32),
+        on_device([s.columns for s in lists], jnp.int32),
         _padded([s.first_below for s in lists], columns + 1),
         _padded([s.below for s in lists], list_grid(max(len(s.below) for s in lists))),
         _padded([s.first_update for s in lists], columns + 1),

@@ -1,11 +1,13 @@
-"""Compilation: small blocks want a program quickly, large ones a quick program."""
+"""Compilation: small blocks want a program quickly, large ones a quick program, and nobody wants to wait twice."""
 
 from collections.abc import Callable, Hashable
 from typing import Any
 
 import equinox as eqx
 import jax
+from jax import Array
 
+from jaxbundle.numerics import programs
 from jaxbundle.numerics.host import is_concrete
 
 RAYS_FOR_OPTIMISATION = 20_000  # below, an adjustment takes less time than optimising its program
@@ -15,22 +17,49 @@ QUICKLY = {"xla_backend_optimization_level": 0}
 class Compiled:
     """A function compiled for the arrays of its arguments; everything else in them is static and must be hashable.
 
-    With `optimised` False the program is compiled in about half the time.
+    With `optimised` False the program is compiled in about half the time. Where JAX's compilation cache is switched on,
+    programs are kept beside it and found again by the next process.
     """
 
     def __init__(self, function: Callable[..., Any]):
         self.function = function
-        self._optimised = jax.jit(self._call, static_argnums=0)
-        self._quick = jax.jit(self._call, static_argnums=0, compiler_options=QUICKLY)
-
-    def _call(self, static: tuple[tuple[Hashable, ...], Any], arrays: Any) -> Any:
-        leaves, structure = static
-        return self.function(*eqx.combine(arrays, jax.tree.unflatten(structure, leaves)))
+        self._programs: dict[Hashable, programs.Program] = {}
 
     def __call__(self, *args: Any, optimised: bool) -> Any:
         """The function's value."""
         if not is_concrete(args):  # inside another program there is nothing to compile here
             return self.function(*args)
-        arrays, rest = eqx.partition(args, eqx.is_array)
-        leaves, structure = jax.tree.flatten(rest)
-        return (self._optimised if optimised else self._quick)((tuple(leaves), structure), arrays)
+        leaves, structure = jax.tree.flatten(args)
+        arrays = [leaf for leaf in leaves if eqx.is_array(leaf)]
+        static = tuple(None if eqx.is_array(leaf) else leaf for leaf in leaves)
+        placed = tuple((a.shape, a.dtype, a.weak_type, a.sharding if a.committed else None) for a in arrays)
+        key = structure, static, placed, optimised
+        if key not in self._programs:
+            self._programs[key] = self._program(structure, static, arrays, {} if optimised else QUICKLY)
+        return self._programs[key](arrays)
+
+    def _program(self, structure: Any, static: tuple, arrays: list[Array], options: dict) -> programs.Program:
+        """Found in the folder of programs, or made."""
+        folder, file = programs.folder(), None
+        if folder is not None:
+            described = jax.tree.unflatten(structure, range(len(static)))
+            name = programs.program_name(self.function, (described, static), arrays, options)
+            file = folder / name if name else None
+        program = programs.load(file) if file else None
+        if program is not None:
+            return program
+        value = []
+
+        def on_leaves(*arrays: Array) -> list[Array]:
+            given = iter(arrays)
+            args = jax.tree.unflatten(structure, [next(given) if leaf is None else leaf for leaf in static])
+            out, out_structure = jax.tree.flatten(self.function(*args))
+            value.append(jax.tree.unflatten(out_structure, range(len(out))))
+            return out
+
+        # what comes out of JAX's cache cannot be written again: its key, of which the name is part, must not be found
+        on_leaves.__name__ = f"{self.function.__name__}_{file.name if file else ''}"
+        compiled = jax.jit(on_leaves, compiler_options=options).lower(*arrays).compile()
+        if file:
+            programs.keep(file, compiled, len(arrays), value[0])
+        return programs.Program(compiled, value[0])

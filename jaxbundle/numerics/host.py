@@ -1,10 +1,15 @@
-"""Values on the host: what is known before tracing is prepared by numpy, which compiles nothing."""
+"""Values on the host: what is known before tracing is prepared by numpy, which compiles nothing.
+
+JAX makes a program for every shape of its operations, even to take over an array: `on_device` does so without one.
+"""
 
 from typing import Any
 
 import jax
+import jax.numpy as jnp
 import numpy as np
 from jax.core import Tracer
+from jaxtyping import Array
 
 
 def is_concrete(tree: Any) -> bool:
@@ -15,3 +20,15 @@ def is_concrete(tree: Any) -> bool:
 def on_host(value: Any) -> Any:
     """A numpy array in place of a concrete JAX array; a tracer stays what it is."""
     return value if isinstance(value, Tracer) else np.asarray(value)
+
+
+def on_device(value: Any, dtype: Any = None) -> Array:
+    """A JAX array of a number, a numpy array or a tracer."""
+    if isinstance(value, jax.Array):
+        return value if dtype is None else value.astype(dtype)
+    return jax.device_put(np.asarray(value, dtype))
+
+
+def array_module(tree: Any) -> Any:
+    """numpy where all leaves are numbers, jax.numpy where they are traced."""
+    return np if is_concrete(tree) else jnp

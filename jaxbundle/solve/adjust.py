@@ -19,7 +19,7 @@ from jaxbundle.normals.arrange import Arranged, Arrangement, arrange, arranged_u
 from jaxbundle.normals.reduced_plan import Method
 from jaxbundle.normals.step import placed
 from jaxbundle.numerics.compilation import RAYS_FOR_OPTIMISATION
-from jaxbundle.numerics.host import on_host
+from jaxbundle.numerics.host import on_device, on_host
 from jaxbundle.numerics.precision import require_float64
 from jaxbundle.solve import levenberg_marquardt as solver
 from jaxbundle.solve.adjustment import Adjustment, Iterations, Status
@@ -159,7 +159,7 @@ def _step_by_step(
     except KeyboardInterrupt:
         interrupted = True
     status = Status.INTERRUPTED if interrupted else _STATUS[int(state.status)]
-    return unknowns, _iterations(state, jnp.asarray(int(status)))
+    return unknowns, _iterations(state, on_device(int(status)))
 
 
 def _iterations(state: State, status: Array) -> Iterations:

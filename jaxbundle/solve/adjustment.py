@@ -1,14 +1,15 @@
 """The answer of an adjustment: adjusted block, residuals, sigma0, cofactors and what follows from them."""
 
 from enum import IntEnum
-from typing import NamedTuple
+from typing import Any, NamedTuple
 
 import equinox as eqx
-import jax.numpy as jnp
+import numpy as np
 from jaxtyping import Array, Float, Int
 
 from jaxbundle.block.block import Block
 from jaxbundle.normals.implicit import TOLERANCE
+from jaxbundle.numerics.host import array_module, on_device, on_host
 
 REDUCED = {
     "dense": "dense Cholesky factorisation",
@@ -103,12 +104,13 @@ class Adjustment(eqx.Module):
     @property
     def vtpv(self) -> Float[Array, ""]:
         """v^T P v of all observations."""
-        return sum((jnp.sum(v * v) for v in self.weighted_residuals), jnp.asarray(0.0))
+        squares = [array_module(v).sum(on_host(v) ** 2) for v in self.weighted_residuals]
+        return on_device(sum(squares, 0.0))
 
     @property
     def sigma0(self) -> Float[Array, ""]:
         """A-posteriori standard deviation of unit weight, sqrt(v^T P v / (M - N))."""
-        return jnp.sqrt(self.vtpv / self.redundancy)
+        return on_device((on_host(self.vtpv) / self.redundancy) ** 0.5)
 
     @property
     def status(self) -> Status:
@@ -128,13 +130,11 @@ class Adjustment(eqx.Module):
         """
         if self.cofactors is None:
             raise ValueError("this adjustment was made without standard deviations: call adjust(..., precision=True)")
-        exterior = self.sigma0 * _roots(self.cofactors.exterior)
-        return StandardDeviations(
-            exterior[:, :3],
-            exterior[:, 3:],
-            self.sigma0 * _roots(self.cofactors.interior),
-            self.sigma0 * _roots(self.cofactors.object_points),
+        q = self.cofactors
+        exterior, interior, points = (
+            on_host(self.sigma0) * _roots(c) for c in (q.exterior, q.interior, q.object_points)
         )
+        return StandardDeviations(*map(on_device, (exterior[:, :3], exterior[:, 3:], interior, points)))
 
     @property
     def interior_correlations(self) -> Float[Array, "camera element element"]:
@@ -144,14 +144,16 @@ class Adjustment(eqx.Module):
         """
         if self.cofactors is None:
             raise ValueError("this adjustment was made without standard deviations: call adjust(..., precision=True)")
-        root = _roots(self.cofactors.interior)
+        q, xp = on_host(self.cofactors.interior), array_module(self.cofactors.interior)
+        root = _roots(q)
         product = root[:, :, None] * root[:, None, :]
-        return jnp.where(product > 0, self.cofactors.interior / jnp.where(product > 0, product, 1.0), 0.0)
+        return on_device(xp.where(product > 0, q / xp.where(product > 0, product, 1.0), 0.0))
 
     @property
     def check_differences(self) -> Float[Array, "check 3"]:
         """Adjusted less known coordinates of the check points; NaN where a coordinate is not known."""
-        return self.block.object_points[self.block.structure.check_point] - self.block.check_points.coordinates
+        adjusted = on_host(self.block.object_points)[self.block.structure.check_point]
+        return on_device(adjusted - on_host(self.block.check_points.coordinates))
 
     def summary(self) -> str:
         """The result in a few lines; the report says the rest."""
@@ -181,5 +183,7 @@ def _counted(number: int, noun: str) -> str:
     return f"{number} {noun}{'' if number == 1 else 's'}"
 
 
-def _roots(cofactors: Float[Array, "entity k k"]) -> Float[Array, "entity k"]:
-    return jnp.sqrt(jnp.diagonal(cofactors, axis1=1, axis2=2))
+def _roots(cofactors: Array | np.ndarray) -> Any:
+    """Roots of the diagonals, in numpy where they are concrete."""
+    xp = array_module(cofactors)
+    return xp.sqrt(xp.diagonal(on_host(cofactors), axis1=1, axis2=2))

@@ -17,7 +17,7 @@ from jaxbundle.normals.arrange import Arranged, Arrangement, Problem, restored_r
 from jaxbundle.normals.cofactors import Cofactors, cofactors
 from jaxbundle.normals.step import weighted_residuals
 from jaxbundle.numerics.compilation import Compiled
-from jaxbundle.numerics.host import is_concrete, on_host
+from jaxbundle.numerics.host import is_concrete, on_device, on_host
 from jaxbundle.solve.adjustment import Adjustment, BlockCofactors, Iterations
 from jaxbundle.solve.undetermined import undetermined_unknowns
 
@@ -59,7 +59,7 @@ def adjustment(
     optimised: bool,
 ) -> Adjustment:
     """The answer for a block. `problem` and `arranged` belong to the block with its origin moved to `origin`."""
-    reference = jnp.asarray(spread(on_host(block.exterior.angles).T, plan.order.image, plan.order.images, 0.0))
+    reference = on_device(spread(on_host(block.exterior.angles).T, plan.order.image, plan.order.images, 0.0))
     answer = _answer(arranged, problem, reference, precision, optimised=optimised)
     weighted, residuals = _residuals(block, plan, problem, answer.residuals)
     blocks, weak = None, ()
@@ -76,9 +76,9 @@ def _residuals(
     """Weighted and unweighted residuals, a table for the rays and for every group; 0 where nothing is observed."""
     kept = 2 if problem.kept_rays.image.shape[0] else 0
     rays = restored_rays(plan, weighted[:2], weighted[2 : 2 + kept])
-    tables = [rays, *(jnp.asarray(on_host(v).T) for v in weighted[2 + kept :])]
+    tables = [rays, *(on_device(on_host(v).T) for v in weighted[2 + kept :])]
     sigmas = [block.rays.sigmas, *(group.sigmas for group in block.groups)]
-    unweighted = (jnp.asarray(on_host(v) * on_host(s)) for v, s in zip(tables, sigmas, strict=True))
+    unweighted = (on_device(on_host(v) * on_host(s)) for v, s in zip(tables, sigmas, strict=True))
     return tuple(tables), tuple(unweighted)
 
 
@@ -90,14 +90,14 @@ def _adjusted(
 
     def chosen(free: np.ndarray, new: Array, old: Array) -> Array:
         new, old = on_host(new), on_host(old)
-        return jnp.asarray((np if is_concrete((new, old)) else jnp).where(free, new, old))
+        return on_device((np if is_concrete((new, old)) else jnp).where(free, new, old))
 
     shift, free = on_host(origin), structure.exterior_free
     centre = chosen(free[:, :3], on_host(unknowns.centre).T + shift, block.exterior.projection_centre)
     turned = chosen(free[:, 3:], on_host(angles).T[plan.order.image], block.exterior.angles)
     points = chosen(structure.point_free, on_host(unknowns.points).T + shift, block.object_points)
     elements = block.interior.elements.shape[1]
-    interior = jnp.asarray(on_host(unknowns.interior)[:elements].T)
+    interior = on_device(on_host(unknowns.interior)[:elements].T)
     return eqx.tree_at(
         lambda b: (b.object_points, b.exterior, b.interior),
         block,
@@ -128,4 +128,4 @@ def _cofactors(block: Block, plan: Arrangement, answer: Answer) -> BlockCofactor
     at = shape.shared * shape.cameras + 3 * np.arange(shape.kept)[:, None] + np.arange(3)
     kept = border[at[:, :, None], at[:, None, :]]
     points = xp.concatenate([on_host(q.points).transpose(2, 3, 0, 1).reshape(-1, 3, 3), kept])[plan.order.point]
-    return BlockCofactors(jnp.asarray(exterior), jnp.asarray(interior), jnp.asarray(points))
+    return BlockCofactors(on_device(exterior), on_device(interior), on_device(points))

@@ -11,11 +11,11 @@ from pathlib import Path
 from typing import Any, NamedTuple
 
 import jax
-import jax.numpy as jnp
 import numpy as np
 
 from jaxbundle.block.block import Block
 from jaxbundle.block.unknowns import Unknowns
+from jaxbundle.numerics.host import on_device
 
 
 class CheckpointError(ValueError):
@@ -71,7 +71,7 @@ def load(path: Path, mark: str, unknowns: Unknowns, state: Any) -> tuple[Unknown
         raise CheckpointError(f"{path} is no checkpoint; {cure}") from error
     if found != mark:
         raise CheckpointError(f"{path} is the checkpoint of another block or method; {cure}")
-    return jax.tree.unflatten(jax.tree.structure((unknowns, state)), [jnp.asarray(leaf) for leaf in leaves])
+    return jax.tree.unflatten(jax.tree.structure((unknowns, state)), [on_device(leaf) for leaf in leaves])
 
 
 class Keeper(NamedTuple):

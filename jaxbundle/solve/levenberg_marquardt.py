@@ -18,6 +18,7 @@ from jaxtyping import Array, Bool, Float, Int
 from jaxbundle.normals.arrange import Arranged, Problem
 from jaxbundle.normals.step import trial_step, weighted_residuals
 from jaxbundle.numerics.compilation import Compiled
+from jaxbundle.numerics.host import on_device
 from jaxbundle.solve.search import AbstractSearch, SearchState
 from jaxbundle.solve.stopping import AbstractStoppingRule, StepTaken
 
@@ -63,10 +64,8 @@ class BundleSolver(optx.AbstractLeastSquaresSolver[Arranged, Any, Any, State]):
 
     def first(self) -> State:
         """The state before the first step."""
-        false, zero, nan = jnp.array(False), jnp.array(0), jnp.array(jnp.nan)
-        state = State(self.search.first(), false, false, zero, zero, zero, nan, nan, nan, nan, nan)
-        # without weak types, which a step does not return: one compilation serves the first step and the others
-        return jax.tree.map(lambda leaf: jax.lax.convert_element_type(leaf, leaf.dtype), state)
+        false, zero, nan = on_device(False), on_device(0), on_device(jnp.nan)
+        return State(self.search.first(), false, false, zero, zero, zero, nan, nan, nan, nan, nan)
 
     def init(self, fn, y, args, options, f_struct, aux_struct, tags) -> State:
         return options["state"] if "state" in options else self.first()

@@ -14,6 +14,9 @@ import equinox as eqx
 import jax.numpy as jnp
 from jaxtyping import Array, Bool, Float
 
+from jaxbundle.numerics.host import on_device
+
+INITIAL_DAMPING = 1e-6  # Madsen, Nielsen, Tingleff (2004), sec. 3.2, for a start believed to be good
 LEAST_RATIO = 1e-3  # of the predicted reduction that an accepted step must reach; Ceres's min_relative_decrease
 
 
@@ -45,10 +48,10 @@ class AbstractSearch(eqx.Module):
 class DampedSearch(AbstractSearch):
     """Levenberg-Marquardt."""
 
-    initial_damping: float = 1e-4
+    initial_damping: float = INITIAL_DAMPING
 
     def first(self) -> SearchState:
-        return SearchState(jnp.array(self.initial_damping), jnp.array(2.0), jnp.array(False))
+        return SearchState(on_device(self.initial_damping), on_device(2.0), on_device(False))
 
     def judge(
         self, state: SearchState, reduction: Array, predicted: Array, cost: Array, noise: Array
@@ -67,7 +70,7 @@ class FullStep(AbstractSearch):
     """Gauss-Newton: every step is taken in full."""
 
     def first(self) -> SearchState:
-        return SearchState(jnp.array(0.0), jnp.array(1.0), jnp.array(False))
+        return SearchState(on_device(0.0), on_device(1.0), on_device(False))
 
     def judge(
         self, state: SearchState, reduction: Array, predicted: Array, cost: Array, noise: Array

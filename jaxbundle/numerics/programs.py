@@ -1,0 +1,119 @@
+"""Compiled programs kept in a folder: who finds his own there needs neither tracing nor compilation.
+
+A program is known by everything it was made of: the function, the static parts of its arguments, shapes, types and
+placement of the arrays, the sources of this package, the versions of JAX and its kin, and the machine. A function or a
+class from elsewhere (a user's camera model) has sources that are not looked at: a program with such a part is not kept.
+"""
+
+import hashlib
+import io
+import os
+import pickle
+import platform
+import sys
+import tempfile
+import zlib
+from collections.abc import Callable, Sequence
+from functools import cache
+from importlib.metadata import version
+from pathlib import Path
+from types import FunctionType
+from typing import Any, NamedTuple
+
+import jax
+from jax import Array
+from jax.experimental import serialize_executable
+
+PACKAGE = Path(__file__).parent.parent
+VERSIONED = ("jax", "jaxlib", "equinox", "optimistix", "lineax", "numpy")
+FOLDER = "programs"
+
+
+class Program(NamedTuple):
+    """A compiled program from leaves to leaves, and a tree of numbers that says where the leaves of its value stand."""
+
+    call: Callable[..., list[Array]]
+    value: Any
+
+    def __call__(self, leaves: Sequence[Array]) -> Any:
+        """The function's value."""
+        return jax.tree.unflatten(jax.tree.structure(self.value), self.call(*leaves))
+
+
+class _Pickler(pickle.Pickler):
+    """Writes functions and classes by name, those that belong to a versioned package or to Python only."""
+
+    def reducer_override(self, obj: Any) -> Any:
+        if isinstance(obj, (FunctionType, type)):
+            package = obj.__module__.partition(".")[0]
+            if package not in (PACKAGE.name, *VERSIONED) and package not in sys.stdlib_module_names:
+                raise pickle.PicklingError(f"{obj} has no version")
+        return NotImplemented
+
+
+def _setting(name: str) -> Any:
+    """An option of JAX, whose attributes no type checker knows."""
+    return getattr(jax.config, name)
+
+
+def folder() -> Path | None:
+    """Where programs are kept: beside JAX's own cache of compilations, None where that is not used."""
+    within = _setting("jax_compilation_cache_dir")
+    return Path(within) / FOLDER if within else None
+
+
+@cache
+def _origin() -> tuple[Any, ...]:
+    """What all programs of this process depend on."""
+    sources = sorted((str(file), file.stat().st_mtime_ns, file.stat().st_size) for file in PACKAGE.rglob("*.py"))
+    versions = [(name, version(name)) for name in VERSIONED]
+    machine = platform.node(), platform.machine(), sys.version, os.environ.get("XLA_FLAGS")
+    return sources, versions, machine, [str(device) for device in jax.devices()]
+
+
+def _placement(array: Array) -> tuple[Any, ...]:
+    return array.shape, str(array.dtype), array.weak_type, str(array.sharding) if array.committed else None
+
+
+def program_name(function: FunctionType, static: Any, arrays: Any, options: Any) -> str | None:
+    """The name under which a program is kept; None if it cannot be."""
+    settings = [_setting(name) for name in ("jax_enable_x64", "jax_debug_nans", "jax_disable_jit")]
+    name = function.__module__, function.__qualname__  # not itself: a decorated function is not found by its name
+    if name[0].partition(".")[0] != PACKAGE.name or "<" in name[1]:
+        return None
+    parts = _origin(), settings, name, static, jax.tree.map(_placement, arrays), options
+    file = io.BytesIO()
+    try:
+        _Pickler(file).dump(parts)
+    except (pickle.PicklingError, AttributeError, TypeError):  # a local function, or what has no form on disk
+        return None
+    return hashlib.sha256(file.getvalue()).hexdigest()
+
+
+def load(file: Path) -> Program | None:
+    """A program that was kept; None where there is none, or none that this machine can read."""
+    try:
+        executable, leaves, devices, value = pickle.loads(zlib.decompress(file.read_bytes()))
+        in_tree = jax.tree.structure((tuple(range(leaves)), {}))
+        out_tree = jax.tree.structure(list(range(len(jax.tree.leaves(value)))))
+        call = serialize_executable.deserialize_and_load(
+            executable, in_tree, out_tree, execution_devices=jax.devices()[:devices]
+        )
+    except Exception:  # whatever is wrong with the file, the program can be made again
+        return None
+    return Program(call, value)
+
+
+def keep(file: Path, compiled: jax.stages.Compiled, leaves: int, value: Any) -> None:
+    """Keeps a program of so many leaves, if it can be; a reader sees a whole file or none."""
+    shardings = jax.tree.leaves(compiled.input_shardings)  # None for a leaf that is not used
+    devices = max((len(sharding.device_set) for sharding in shardings), default=1)
+    try:
+        executable, _, _ = serialize_executable.serialize(compiled)
+        data = zlib.compress(pickle.dumps((executable, leaves, devices, value)), 1)
+        file.parent.mkdir(parents=True, exist_ok=True)
+        with tempfile.NamedTemporaryFile(dir=file.parent, delete=False) as temporary:
+            temporary.write(data)
+        os.replace(temporary.name, file)
+    except (OSError, ValueError, NotImplementedError, pickle.PicklingError, AttributeError, TypeError):
+        return  # a full disk or a program that has no form on disk: the next process compiles again
