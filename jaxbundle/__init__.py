@@ -26,7 +26,8 @@ if TYPE_CHECKING:
         Structure,
     )
     from jaxbundle.block.changes import with_interior_held
-    from jaxbundle.block.datum import DatumDefect, datum_defect, with_datum
+    from jaxbundle.block.datum import with_datum
+    from jaxbundle.block.datum_defect import DatumDefect, datum_defect
     from jaxbundle.block.observations import (
         CONTROL,
         DISTANCES,
@@ -60,10 +61,10 @@ _MODULES = {
         "Structure",
     ),
     "block.changes": ("with_interior_held",),
-    "block.datum": (
+    "block.datum": ("with_datum",),
+    "block.datum_defect": (
         "DatumDefect",
         "datum_defect",
-        "with_datum",
     ),
     "block.observations": (
         "CONTROL",

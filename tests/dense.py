@@ -36,9 +36,9 @@ def centred(block: Block) -> tuple[Unknowns, Observations]:
     return unknowns_of(block), observations_of(block)
 
 
-def masks(o: Observations) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
-    """What is free: exterior, interior by column, object points."""
-    return np.asarray(o.exterior_free), np.asarray(o.interior_free), np.asarray(o.point_free)
+def masks(o: Observations) -> tuple[np.ndarray, ...]:
+    """What is free: exterior, interior by column, parameters, object points."""
+    return tuple(map(np.asarray, (o.exterior_free, o.interior_free, o.parameter_free, o.point_free)))
 
 
 def moved(unknowns: Unknowns, o: Observations, d: Float[Array, " free"]) -> Unknowns:
@@ -47,9 +47,9 @@ def moved(unknowns: Unknowns, o: Observations, d: Float[Array, " free"]) -> Unkn
     for mask in masks(o):
         fields.append(jnp.zeros(mask.shape).at[mask].set(d[first : first + mask.sum()]))
         first += int(mask.sum())
-    exterior, by_column, points = fields
+    exterior, by_column, parameters, points = fields
     interior = jnp.zeros_like(unknowns.interior).at[np.array(o.columns, int)].set(by_column)
-    return corrected(unknowns, Correction(exterior, interior, points), o.in_angles, o.system)
+    return corrected(unknowns, Correction(exterior, interior, parameters, points), o.in_angles, o.system)
 
 
 def difference(unknowns: Unknowns, again: Unknowns, o: Observations) -> Float[np.ndarray, " free"]:
@@ -59,22 +59,21 @@ def difference(unknowns: Unknowns, again: Unknowns, o: Observations) -> Float[np
     old, new = (jnp.stack(o.system.angles_from_rotation(tuple(u.rotation))) for u in (unknowns, again))
     own = jnp.arctan2(jnp.sin(new - old), jnp.cos(new - old))
     angles = small if o.in_angles is None else jnp.where(o.in_angles, own, small)
-    return free_values(
-        again.centre - unknowns.centre, angles, again.interior - unknowns.interior, again.points - unknowns.points, o
-    )
+    moved = (again.interior - unknowns.interior, again.parameters - unknowns.parameters, again.points - unknowns.points)
+    return free_values(again.centre - unknowns.centre, angles, *moved, o)
 
 
 def sizes(unknowns: Unknowns, o: Observations) -> Float[np.ndarray, " free"]:
     """Absolute values of the unknowns; 1 for angles."""
     angles = jnp.ones_like(unknowns.centre)
-    return np.abs(free_values(unknowns.centre, angles, unknowns.interior, unknowns.points, o))
+    return np.abs(free_values(unknowns.centre, angles, unknowns.interior, unknowns.parameters, unknowns.points, o))
 
 
 def free_values(
-    centre: Array, angles: Array, interior: Array, points: Array, o: Observations
+    centre: Array, angles: Array, interior: Array, parameters: Array, points: Array, o: Observations
 ) -> Float[np.ndarray, " free"]:
     """The vector of what is free."""
-    fields = jnp.concatenate([centre, angles]), interior[np.array(o.columns, int)], points
+    fields = jnp.concatenate([centre, angles]), interior[np.array(o.columns, int)], parameters, points
     return np.concatenate([np.asarray(field)[mask] for field, mask in zip(fields, masks(o), strict=True)])
 
 

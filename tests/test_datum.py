@@ -9,7 +9,8 @@ import numpy as np
 import pytest
 
 from jaxbundle.block.block import Block, Datum
-from jaxbundle.block.datum import datum_defect, with_datum
+from jaxbundle.block.datum import with_datum
+from jaxbundle.block.datum_defect import datum_defect
 from jaxbundle.block.observations import CONTROL, DISTANCES, STATIONS, ObservationGroup, observation_group
 from jaxbundle.block.problems import BlockError
 from jaxbundle.planning.simulate import simulate

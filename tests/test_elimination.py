@@ -137,11 +137,15 @@ def test_standard_deviations(block):
     expected = float(adjustment.sigma0) * np.sqrt(np.diagonal(dense_cofactors(unknowns, observations)))
     sd = adjustment.standard_deviations
     interior = jnp.pad(sd.interior, ((0, 0), (0, unknowns.interior.shape[0] - sd.interior.shape[1])))
-    found = free_values(sd.projection_centre.T, sd.angles.T, interior.T, sd.object_points.T, observations)
+    found = free_values(
+        sd.projection_centre.T, sd.angles.T, interior.T, sd.parameters, sd.object_points.T, observations
+    )
     np.testing.assert_allclose(found, expected, rtol=1e-9)
-    exterior_free, interior_free, point_free = masks(observations)
-    held = exterior_free.T, interior_free.T, point_free.T
+    exterior_free, interior_free, parameter_free, point_free = masks(observations)
+    held = exterior_free.T, interior_free.T, parameter_free, point_free.T
     exterior = np.hstack([sd.projection_centre, sd.angles])
     columns = np.asarray(sd.interior)[:, np.array(observations.columns, int)]
-    for values, free in zip((exterior, columns, np.asarray(sd.object_points)), held, strict=True):
+    for values, free in zip(
+        (exterior, columns, np.asarray(sd.parameters), np.asarray(sd.object_points)), held, strict=True
+    ):
         assert not values[~free].any()  # what is held has none

@@ -80,7 +80,8 @@ def regrouped(group: ObservationGroup, order: Int[np.ndarray, " member"], number
     """The group in another order, of entities that have other numbers."""
     kind, indices, observed = group.structure.kind, group.structure.indices[order], group.structure.observed[order]
     indices = np.stack([number[touched][indices[:, k]] for k, touched in enumerate(kind.touches)], 1)
-    return ObservationGroup(GroupStructure(kind, indices, observed), group.values[order], group.sigmas[order])
+    structure = GroupStructure(kind, indices, observed)
+    return ObservationGroup(structure, group.values[order], group.sigmas[order], group.constants[order])
 
 
 def shuffled(
@@ -160,7 +161,8 @@ def turned(coordinates, sign: float):
 
 def turned_group(group: ObservationGroup, sign: float) -> ObservationGroup:
     structure = dataclasses.replace(group.structure, observed=group.structure.observed[:, [0, 2, 1]])
-    return ObservationGroup(structure, jnp.asarray(turned(group.values, sign)), group.sigmas[:, jnp.array([0, 2, 1])])
+    sigmas = group.sigmas[:, jnp.array([0, 2, 1])]
+    return ObservationGroup(structure, jnp.asarray(turned(group.values, sign)), sigmas, group.constants)
 
 
 @pytest.mark.parametrize("sign", [1.0, -1.0])

@@ -121,8 +121,9 @@ def test_all_unknowns_together(sample, block):
     """With the covariances between images and points, which the report does not print."""
     unknowns, observations = centred(block)
     interior = jnp.swapaxes(sample.interior, 1, 2)
+    none = jnp.zeros(0)
     draws = [
-        free_values(exterior[:, :3].T, exterior[:, 3:].T, by_camera, points.T, observations)
+        free_values(exterior[:, :3].T, exterior[:, 3:].T, by_camera, none, points.T, observations)
         for exterior, by_camera, points in zip(sample.exterior, interior, sample.points, strict=True)
     ]
     assert_scatter(np.array(draws), dense_cofactors(unknowns, observations))

@@ -17,7 +17,7 @@ from jaxtyping import Array, Bool, Float, Int
 from jaxbundle.block.observations import ObservationGroup
 from jaxbundle.camera.model import CameraModel, mixture
 from jaxbundle.geometry.rotation import OMEGA_PHI_KAPPA, RotationSystem
-from jaxbundle.numerics.host import is_concrete, on_device, on_host
+from jaxbundle.numerics.host import array_module, is_concrete, on_device, on_host
 
 CENTRE_ELEMENTS = ("X0", "Y0", "Z0")
 
@@ -35,17 +35,36 @@ class Camera:
 
 
 @dataclass(frozen=True)
+class Parameter:
+    """An unknown that is no coordinate, angle or interior element, as a shift of the navigation data; `unit` as the
+    user reads it, "" where it has none; `angle`: it is one, in radians inside."""
+
+    name: str
+    unit: str = ""
+    free: bool = True
+    angle: bool = False
+
+
+@dataclass(frozen=True)
 class Datum:
     """What fixes origin, axes and scale.
 
     `kind`: "control" (control points and observed stations), "fixed" (elements the user holds), "minimal" (7 elements
-    chosen by the package), "open" (nothing yet). `held` names (image, element).
+    chosen by the package), "inner" (free network), "open" (nothing yet). `held` names (image, element).
+
+    Of a free network: `points` that carry the inner constraints, all if empty; `constraints`, their number, is 0 until
+    the package has chosen what it holds meanwhile.
     """
 
     kind: str
     held: tuple[tuple[str, str], ...] = ()
+    points: tuple[str, ...] = ()
+    constraints: int = 0
 
     def __str__(self) -> str:
+        if self.kind == "inner":
+            carrying = f"{len(self.points)} chosen points" if self.points else "all object points"
+            return f"free network, {self.constraints or 'inner'} inner constraints over {carrying}"
         if not self.held:
             return {"control": "control points and observed stations", "open": "none"}.get(self.kind, self.kind)
         elements: dict[str, list[str]] = {}
@@ -78,6 +97,7 @@ class Structure:
     rotation_system: RotationSystem = OMEGA_PHI_KAPPA
     object_unit: str = "m"
     angle_unit: str = "deg"
+    parameters: tuple[Parameter, ...] = ()
     source: str = ""
     notes: tuple[str, ...] = field(default=())  # what reading the block left out, in words
 
@@ -97,9 +117,15 @@ class Structure:
         return tuple(int(k) for k in np.nonzero(self.interior_free.any(0))[0])
 
     @property
+    def parameter_free(self) -> Bool[np.ndarray, " parameter"]:
+        """Which parameters are unknown."""
+        return np.array([parameter.free for parameter in self.parameters], bool)
+
+    @property
     def unknowns(self) -> int:
         """N: number of unknown elements."""
-        return int(self.exterior_free.sum() + self.interior_free.sum() + self.point_free.sum())
+        masks = self.exterior_free, self.interior_free, self.parameter_free, self.point_free
+        return int(sum(mask.sum() for mask in masks))
 
 
 class ExteriorOrientation(eqx.Module):
@@ -139,6 +165,7 @@ class Block(eqx.Module):
     rays: Rays
     groups: tuple[ObservationGroup, ...]
     check_points: CheckPoints
+    parameters: Float[Array, " parameter"] = eqx.field(default_factory=lambda: on_device(np.zeros(0)))
 
     @property
     def observations(self) -> int:
@@ -147,8 +174,10 @@ class Block(eqx.Module):
 
     @property
     def redundancy(self) -> int:
-        """M - N."""
-        return self.observations - self.structure.unknowns
+        """M - N, and the constraints of a free network whose elements are all unknown."""
+        structure = self.structure
+        inner = 0 if structure.datum.held else structure.datum.constraints
+        return self.observations - structure.unknowns + inner
 
     @property
     def concrete(self) -> bool:
@@ -162,12 +191,17 @@ class Block(eqx.Module):
         def moved(coordinates: Float[Array, "entity 3"]) -> Float[Array, "entity 3"]:
             return on_device(on_host(coordinates) + shift)
 
-        groups = tuple(
-            eqx.tree_at(lambda g: g.values, group, moved(group.values))
-            if group.structure.kind.in_object_system
-            else group
-            for group in self.groups
-        )
+        def moved_group(group: ObservationGroup) -> ObservationGroup:
+            kind = group.structure.kind
+            if kind.in_object_system:
+                group = eqx.tree_at(lambda g: g.values, group, moved(group.values))
+            by = [shift["XYZ".index(name)] if name in ("X", "Y", "Z") else 0.0 for name in kind.constants]
+            if kind.constants:
+                xp = array_module(shift)
+                group = eqx.tree_at(lambda g: g.constants, group, on_device(on_host(group.constants) + xp.stack(by)))
+            return group
+
+        groups = tuple(map(moved_group, self.groups))
         return eqx.tree_at(
             lambda b: (b.exterior.projection_centre, b.object_points, b.groups, b.check_points.coordinates),
             self,

@@ -4,12 +4,13 @@ A kind of observation is one differentiable function of the unknowns it touches 
 
     residual(touched_1, touched_2, ..., observed) -> (v_1, ..., v_k),        v = computed - observed
 
-written for one member, scalars in and scalars out; autodiff gives its rows of the design matrix. A touched entity comes
-as
+written for one member, scalars in and scalars out; autodiff gives its rows of the design matrix. A kind with constants
+(a time, a point of reference) gets them as one argument more, behind the observed values. A touched entity comes as
 
-    "point"   (X, Y, Z)
-    "image"   (projection centre (X0, Y0, Z0), rotation (a1 ... c3))
-    "camera"  (interior element, ...) in the order of the camera's model
+    "point"      (X, Y, Z)
+    "image"      (projection centre (X0, Y0, Z0), rotation (a1 ... c3))
+    "camera"     (interior element, ...) in the order of the camera's model
+    "parameter"  one scalar: an unknown of its own, as a shift of the navigation data
 
 Nothing else in the package knows how many kinds there are.
 """
@@ -24,18 +25,26 @@ from jaxtyping import Array, Bool, Float, Int
 
 from jaxbundle.camera.collinearity import Vector
 from jaxbundle.geometry.rotation import Rotation, Scalar
-from jaxbundle.numerics.host import on_device, on_host
+from jaxbundle.numerics.host import array_module, on_device, on_host
 
 
 @dataclass(frozen=True)
 class ObservationKind:
-    """`name` is the table's; `in_object_system`: observed values are object coordinates and move with the origin."""
+    """`name` is the table's; `in_object_system`: observed values are object coordinates and move with the origin.
+
+    `constants` names the numbers each member has besides; those called X, Y, Z are object coordinates too.
+    """
 
     name: str
     components: tuple[str, ...]
     touches: tuple[str, ...]
     residual: Callable[..., tuple[Scalar, ...]]
     in_object_system: bool = False
+    constants: tuple[str, ...] = ()
+
+    def residuals(self, touched: tuple, observed: tuple[Scalar, ...], constants: tuple[Scalar, ...]) -> tuple:
+        """The residuals of a member, or of many whose scalars are arrays."""
+        return self.residual(*touched, observed, constants) if self.constants else self.residual(*touched, observed)
 
 
 @dataclass(frozen=True, eq=False)
@@ -48,16 +57,36 @@ class GroupStructure:
 
 
 class ObservationGroup(eqx.Module):
-    """All observations of one kind: structure (static) and values. What is not observed has sigma 1 and no weight."""
+    """All observations of one kind: structure (static) and values. What is not observed has sigma 1 and no weight.
+
+    `covariances`: of the components of each member; None where they are not correlated, else `sigmas` is not read.
+    """
 
     structure: GroupStructure = eqx.field(static=True)
     values: Float[Array, "member component"]
     sigmas: Float[Array, "member component"]
+    constants: Float[Array, "member constant"]
+    covariances: Float[Array, "member component component"] | None = None
 
     @property
-    def weights(self) -> Float[Array, "member component"]:
-        """Square roots of the weights: 1/sigma, 0 where nothing is observed."""
-        return on_device(np.asarray(self.structure.observed) / on_host(self.sigmas))
+    def weights(self) -> Float[Array, "member component *component"]:
+        """Square roots of the weights, 0 where nothing is observed: 1/sigma, or L^-1 of covariances L L^T."""
+        observed = self.structure.observed
+        if self.covariances is None:
+            return on_device(observed / on_host(self.sigmas))
+        both = observed[:, :, None] & observed[:, None, :]
+        xp = array_module(self.covariances)
+        size = observed.shape[1]
+        factor = xp.linalg.cholesky(xp.where(both, on_host(self.covariances), np.eye(size)))
+        return on_device(xp.where(both, xp.linalg.solve(factor, np.broadcast_to(np.eye(size), factor.shape)), 0.0))
+
+    def unweighted(self, weighted: Float[Array, "member component"]) -> Float[Array, "member component"]:
+        """Residuals from those times the square roots of the weights; 0 where nothing is observed."""
+        if self.covariances is None:
+            return on_device(on_host(weighted) * on_host(self.sigmas))
+        weights = on_host(self.weights)
+        missing = np.eye(weights.shape[1]) * ~self.structure.observed[:, None, :]
+        return on_device(array_module(weighted).linalg.solve(weights + missing, on_host(weighted)[..., None])[..., 0])
 
     @property
     def count(self) -> int:
@@ -88,10 +117,17 @@ def observation_group(
     indices: Int[np.ndarray, "member touched"],
     values: Float[np.ndarray, "member component"],
     sigmas: Float[np.ndarray, "member component"],
+    constants: Float[np.ndarray, "member constant"] | None = None,
+    covariances: Float[np.ndarray, "member component component"] | None = None,
 ) -> ObservationGroup:
     """A group from tables; NaN marks a component that is not observed."""
     observed = np.isfinite(values) & np.isfinite(sigmas)
     structure = GroupStructure(kind, np.asarray(indices, np.int32), observed)
+    constants = np.zeros((len(values), 0)) if constants is None else constants
     return ObservationGroup(
-        structure, on_device(np.where(observed, values, 0.0)), on_device(np.where(observed, sigmas, 1.0))
+        structure,
+        on_device(np.where(observed, values, 0.0)),
+        on_device(np.where(observed, sigmas, 1.0)),
+        on_device(constants),
+        None if covariances is None else on_device(covariances),
     )

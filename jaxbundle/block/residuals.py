@@ -4,12 +4,15 @@
 that are applied to them. Names stay behind, so two blocks of equal shapes share one compiled program.
 """
 
+from typing import Any
+
 import equinox as eqx
 import jax.numpy as jnp
+import numpy as np
 from jaxtyping import Array, Bool, Float, Int
 
 from jaxbundle.block.block import Block
-from jaxbundle.block.observations import ObservationKind
+from jaxbundle.block.observations import ObservationGroup, ObservationKind
 from jaxbundle.block.unknowns import Unknowns, corrected_in_angles
 from jaxbundle.camera.collinearity import photo_vector
 from jaxbundle.camera.model import CameraModel
@@ -18,12 +21,14 @@ from jaxbundle.numerics.host import on_device, on_host
 
 
 class Group(eqx.Module):
-    """Observations of one kind; `weights` are square roots of the weights, 0 where nothing is observed."""
+    """Observations of one kind; `weights` are square roots of the weights, 0 where nothing is observed: a factor a
+    component, or the rows of a lower triangle where the components are correlated."""
 
     kind: ObservationKind = eqx.field(static=True)
     indices: Int[Array, "touched member"]
     values: Float[Array, "component member"]
-    weights: Float[Array, "component member"]
+    weights: Float[Array, "component *component member"]
+    constants: Float[Array, "constant member"]
 
 
 class Observations(eqx.Module):
@@ -40,22 +45,28 @@ class Observations(eqx.Module):
     groups: tuple[Group, ...]
     exterior_free: Bool[Array, "6 image"]
     interior_free: Bool[Array, "column camera"]
+    parameter_free: Bool[Array, " parameter"]
     point_free: Bool[Array, "3 point"]
     in_angles: Bool[Array, " image"] | None
+
+
+def group_arrays(group: ObservationGroup, indices: Int[np.ndarray, "touched member"]) -> Group:
+    """A group as arrays whose long axis is last; `indices` in whatever order the unknowns are."""
+    values, weights, constants = (on_host(x) for x in (group.values, group.weights, group.constants))
+    weights = weights.T if weights.ndim == 2 else weights.transpose(1, 2, 0)
+    return Group(
+        group.structure.kind,
+        on_device(indices, np.int32),
+        on_device(values.T),
+        on_device(weights),
+        on_device(constants.T),
+    )
 
 
 def observations_of(block: Block) -> Observations:
     """The observations of a block."""
     structure, in_angles = block.structure, corrected_in_angles(block.structure)
-    groups = tuple(
-        Group(
-            group.structure.kind,
-            on_device(group.structure.indices.T),
-            on_device(on_host(group.values).T),
-            on_device(on_host(group.weights).T),
-        )
-        for group in block.groups
-    )
+    groups = tuple(group_arrays(group, group.structure.indices.T) for group in block.groups)
     return Observations(
         structure.model,
         structure.interior_columns,
@@ -68,26 +79,36 @@ def observations_of(block: Block) -> Observations:
         groups,
         on_device(structure.exterior_free.T),
         on_device(structure.interior_free.T[list(structure.interior_columns)]),
+        on_device(structure.parameter_free),
         on_device(structure.point_free.T),
         None if in_angles is None else on_device(in_angles),
     )
 
 
-def touched_values(unknowns: Unknowns, kind: str, index: Array) -> tuple:
+def touched_values(unknowns: Unknowns, kind: str, index: Array) -> Any:
     """The scalars of the touched entities, as an observation kind takes them; shape of `index`."""
     if kind == "point":
         return tuple(unknowns.points[:, index])
     if kind == "image":
         return tuple(unknowns.centre[:, index]), tuple(unknowns.rotation[:, index])
+    if kind == "parameter":
+        return unknowns.parameters[index]
     return tuple(unknowns.interior[:, index])
 
 
 def group_residuals(unknowns: Unknowns, group: Group) -> Float[Array, "component member"]:
     """Unweighted residuals of a group of observations."""
-    touched = [
+    touched = tuple(
         touched_values(unknowns, kind, index) for kind, index in zip(group.kind.touches, group.indices, strict=True)
-    ]
-    return jnp.stack(group.kind.residual(*touched, tuple(group.values)))
+    )
+    return jnp.stack(group.kind.residuals(touched, tuple(group.values), tuple(group.constants)))
+
+
+def weighted(residuals: Float[Array, "component member"], group: Group) -> Float[Array, "component member"]:
+    """Residuals times the square roots of their weights: uncorrelated, of unit variance."""
+    if group.weights.ndim == 2:
+        return residuals * group.weights
+    return jnp.sum(group.weights * residuals, 1)
 
 
 def ray_residuals(unknowns: Unknowns, observations: Observations) -> Float[Array, "2 ray"]:
@@ -103,4 +124,4 @@ def ray_residuals(unknowns: Unknowns, observations: Observations) -> Float[Array
 def weighted_residuals(unknowns: Unknowns, observations: Observations) -> tuple[Float[Array, "component member"], ...]:
     """Residuals over their sigmas: first the rays, then every group; 0 where nothing is observed."""
     rays = ray_residuals(unknowns, observations) * observations.weights
-    return rays, *(group_residuals(unknowns, group) * group.weights for group in observations.groups)
+    return rays, *(weighted(group_residuals(unknowns, group), group) for group in observations.groups)

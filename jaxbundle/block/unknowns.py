@@ -32,6 +32,7 @@ class Unknowns(eqx.Module):
     rotation: Float[Array, "9 image"]
     centre: Float[Array, "3 image"]
     interior: Float[Array, "element camera"]
+    parameters: Float[Array, " parameter"]
     points: Float[Array, "3 point"]
 
 
@@ -40,6 +41,7 @@ class Correction(eqx.Module):
 
     exterior: Float[Array, "6 image"]
     interior: Float[Array, "element camera"]
+    parameters: Float[Array, " parameter"]
     points: Float[Array, "3 point"]
 
 
@@ -54,6 +56,7 @@ def unknowns_of(block: Block) -> Unknowns:
         _rotations(block),
         on_device(on_host(block.exterior.projection_centre).T),
         on_device(interior),
+        on_device(block.parameters),
         on_device(on_host(block.object_points).T),
     )
 
@@ -80,11 +83,12 @@ def with_unknowns(block: Block, unknowns: Unknowns) -> Block:
     elements = block.interior.elements.shape[1]
     angles = angles_near(tuple(unknowns.rotation), block.exterior.angles.T, block.structure.rotation_system)
     return eqx.tree_at(
-        lambda b: (b.exterior, b.interior, b.object_points),
+        lambda b: (b.exterior, b.interior, b.parameters, b.object_points),
         block,
         (
             ExteriorOrientation(unknowns.centre.T, jnp.stack(angles, -1)),
             InteriorOrientation(unknowns.interior[:elements].T),
+            unknowns.parameters,
             unknowns.points.T,
         ),
     )
@@ -134,6 +138,7 @@ def corrected(
         matrix,
         unknowns.centre + correction.exterior[:3],
         unknowns.interior + correction.interior,
+        unknowns.parameters + correction.parameters,
         unknowns.points + correction.points,
     )
 

@@ -4,7 +4,8 @@ import numpy as np
 from jaxtyping import Bool, Int
 
 from jaxbundle.block.block import Block
-from jaxbundle.block.datum import datum_defect, insufficient, is_located
+from jaxbundle.block.datum import inner_needs_none, is_located
+from jaxbundle.block.datum_defect import datum_defect, insufficient
 from jaxbundle.block.problems import BlockError, Problem
 
 
@@ -117,7 +118,7 @@ def _weak_points(block: Block) -> list[Problem]:
 
 def _redundancy(block: Block) -> list[Problem]:
     unknowns = block.structure.unknowns
-    to_be_held = 7 if block.structure.datum.kind == "open" and not is_located(block) else 0
+    to_be_held = 7 if block.structure.datum.kind in ("open", "inner") and not is_located(block) else 0
     if block.observations > unknowns - to_be_held:
         return []
     after = f", {unknowns - to_be_held} with the datum held" if to_be_held else ""
@@ -132,5 +133,7 @@ def _redundancy(block: Block) -> list[Problem]:
 def _datum(block: Block) -> list[Problem]:
     if not is_located(block):
         return []
+    if block.structure.datum.kind == "inner":
+        return [inner_needs_none()]
     defect = datum_defect(block)
     return [insufficient(defect)] if defect.count else []

@@ -6,7 +6,7 @@ to them, so that the next block of similar size runs in the same program.
 """
 
 from dataclasses import dataclass
-from typing import NamedTuple
+from typing import Any, NamedTuple
 
 import equinox as eqx
 import jax.numpy as jnp
@@ -15,7 +15,7 @@ from jaxtyping import Array, Bool, Float, Int
 
 from jaxbundle.block.block import Block, Structure
 from jaxbundle.block.observations import ObservationGroup
-from jaxbundle.block.residuals import Group, Observations
+from jaxbundle.block.residuals import Observations, group_arrays
 from jaxbundle.block.unknowns import Unknowns, corrected_in_angles
 from jaxbundle.normals import ordering
 from jaxbundle.normals.cells import Tiles
@@ -24,14 +24,17 @@ from jaxbundle.normals.kept import KeptRays
 from jaxbundle.normals.reduced_plan import Method, reduced_plan, too_large
 from jaxbundle.normals.reduced_system import ReducedSolver
 from jaxbundle.normals.tiles import CLASSES, SLOTS, Tiling, tiling
-from jaxbundle.numerics.host import is_concrete, on_host
+from jaxbundle.numerics.host import array_module, is_concrete, on_device, on_host
 from jaxbundle.numerics.shapes import grid_size
 
 DENSE_TABLE = 4096  # images; beyond, pairs are looked up by bisection
 
 
 class Order(NamedTuple):
-    """Where every image, camera and point of the block stands, and how many places there are (padded)."""
+    """Where every image, camera and point of the block stands, and how many places there are (padded).
+
+    Parameters stay in the block's order; `parameters` is their number without padding.
+    """
 
     image: Int[np.ndarray, " image"]
     camera: Int[np.ndarray, " camera"]
@@ -39,6 +42,7 @@ class Order(NamedTuple):
     images: int
     cameras: int
     points: int
+    parameters: int
 
 
 @dataclass(frozen=True, eq=False)
@@ -199,6 +203,7 @@ def arrange(
     )
     d, shared = (6 + q, 0) if own else (6, q)
     padded_kept = grid_size(int(kept.sum()), 8) if kept.any() else 0
+    parameters = grid_size(len(structure.parameters), 8) if structure.parameters else 0
     if solver == "auto" and not direct and not extra and too_large(graph, images, d):
         solver = "pcg"
     if solver == "pcg" and extra:
@@ -219,8 +224,16 @@ def arrange(
     point[~kept], point[kept] = tiles.place, places + np.arange(kept.sum())
     camera = row[np.argsort(structure.image_camera)] if own else np.arange(cameras)
     return Arrangement(
-        Order(row, camera, point, padded_images, padded_images if own else cameras, places + padded_kept),
-        Shape(d, shared, 0 if own else cameras, padded_kept, reduced.pool, reduced.method == "pcg"),
+        Order(
+            row,
+            camera,
+            point,
+            padded_images,
+            padded_images if own else cameras,
+            places + padded_kept,
+            len(structure.parameters),
+        ),
+        Shape(d, shared, 0 if own else cameras, parameters, padded_kept, reduced.pool, reduced.method == "pcg"),
         tiles,
         rays,
         np.nonzero(kept)[0],
@@ -245,6 +258,12 @@ def spread(values, index: Int[np.ndarray, " entity"], size: int, filling: float 
     return xp.concatenate([values, column], 1)[:, source]
 
 
+def _padded(values: Any, size: int) -> Any:
+    """Numbers followed by zeros."""
+    values = on_host(values)
+    return array_module(values).concatenate([values, np.zeros(size - len(values), values.dtype)])
+
+
 def arranged_unknowns(a: Arrangement, unknowns: Unknowns) -> Arranged:
     """The unknowns of a block in the order of elimination."""
     o = a.order
@@ -254,6 +273,7 @@ def arranged_unknowns(a: Arrangement, unknowns: Unknowns) -> Arranged:
         jnp.asarray(rotation),
         jnp.asarray(spread(unknowns.centre, o.image, o.images, 0.0)),
         jnp.asarray(spread(unknowns.interior, o.camera, o.cameras, 1.0)),
+        on_device(_padded(unknowns.parameters, a.shape.parameters)),
         jnp.asarray(points[:, a.places :]),
     )
     return Arranged(images, jnp.asarray(points[:, : a.places].reshape(3, -1, a.tiling.width)))
@@ -269,8 +289,9 @@ def restored_unknowns(a: Arrangement, arranged: Arranged) -> Unknowns:
         on_host(images.rotation)[:, o.image],
         on_host(images.centre)[:, o.image],
         on_host(images.interior)[:, o.camera],
+        on_host(images.parameters)[: o.parameters],
     )
-    return Unknowns(*(jnp.asarray(x) for x in (*parts, points)))
+    return Unknowns(*(on_device(x) for x in (*parts, points)))
 
 
 def restored_rays(a: Arrangement, cells: list[Array], kept: list[Array]) -> Float[Array, "ray 2"]:
@@ -295,15 +316,13 @@ def problem(a: Arrangement, block: Block) -> Problem:
     if a.shape.cameras:
         image_camera = np.zeros(o.images, int)
         image_camera[o.image] = o.camera[structure.image_camera]
-    maps = {"image": o.image, "camera": o.camera, "point": o.point}
+    places = {"image": o.image, "camera": o.camera, "parameter": np.arange(o.parameters), "point": o.point}
     groups = []
     for group in block.groups:
-        kind, indices = group.structure.kind, group.structure.indices.T
-        index = np.stack([maps[k][i] for k, i in zip(kind.touches, indices, strict=True)])
-        values, weights = (jnp.asarray(on_host(x).T) for x in (group.values, group.weights))
-        groups.append(Group(kind, jnp.asarray(index, jnp.int32), values, weights))
+        touched = zip(group.structure.kind.touches, group.structure.indices.T, strict=True)
+        groups.append(group_arrays(group, np.stack([places[kind][index] for kind, index in touched])))
     column = np.full(o.points, a.shape.border)
-    column[a.places :] = a.shape.shared * a.shape.cameras + 3 * np.arange(o.points - a.places)
+    column[a.places :] = a.shape.first_kept_point + 3 * np.arange(o.points - a.places)
     none = jnp.zeros(0, jnp.int32)
     interior_free = structure.interior_free.T[list(structure.interior_columns)]
     observations = Observations(
@@ -318,6 +337,7 @@ def problem(a: Arrangement, block: Block) -> Problem:
         tuple(groups),
         jnp.asarray(spread(structure.exterior_free.T, o.image, o.images, False)),
         jnp.asarray(spread(interior_free, o.camera, o.cameras, False)),
+        on_device(_padded(structure.parameter_free, a.shape.parameters)),
         jnp.asarray(spread(structure.point_free.T, o.point, o.points, False)),
         None if in_angles is None else jnp.asarray(spread(in_angles[None], o.image, o.images, False)[0]),
     )

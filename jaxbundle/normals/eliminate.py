@@ -30,19 +30,33 @@ FACTOR = 12  # numbers kept of a point: factor (6), gradient (3), diagonal of V 
 
 class Shape(NamedTuple):
     """Static sizes: unknowns an image (6, or more where every image has its own camera), interior elements a shared
-    camera, shared cameras, kept points, blocks of the pool, whether the reduced matrix is not formed."""
+    camera, shared cameras, parameters, kept points, blocks of the pool, whether the reduced matrix is not formed.
+
+    The border: interior of shared cameras, parameters, then kept points.
+    """
 
     image: int
     shared: int
     cameras: int
+    parameters: int
     kept: int
     pool: int
     implicit: bool  # the pool has diagonal blocks only
 
     @property
+    def first_parameter(self) -> int:
+        """Rows of the border before the parameters."""
+        return self.shared * self.cameras
+
+    @property
+    def first_kept_point(self) -> int:
+        """Rows of the border before the kept points."""
+        return self.first_parameter + self.parameters
+
+    @property
     def border(self) -> int:
-        """Rows of the border: interior of shared cameras, then kept points."""
-        return self.shared * self.cameras + 3 * self.kept
+        """Rows of the border."""
+        return self.first_kept_point + 3 * self.kept
 
 
 class ImageSums(NamedTuple):

@@ -1,7 +1,7 @@
 """Observations and rays that touch more than one eliminated point: their part of the reduced normal equations.
 
 Their unknowns are rows of the images' blocks (exterior orientation, and the interior of an image's own camera) or of
-the border (interior of shared cameras, then kept points):
+the border (interior of shared cameras, parameters, then kept points):
 
     [ S_II  S_Ib ]     S_II  blocks d x d of pairs of images: diagonal ones apart, the others in the pool
     [       S_bb ]     S_Ib  d rows an image, S_bb dense
@@ -91,6 +91,13 @@ def _padded_rows(rows: Array, first: int, d: int) -> Array:
     return jnp.pad(rows, ((0, 0), (first, d - first - rows.shape[1]), (0, 0)))
 
 
+def _first_column(kind: str, index: Array, shape: Shape, point_column: Array) -> Int[Array, " member"]:
+    """Where the unknowns of an entity begin in the border."""
+    if kind == "point":
+        return point_column[index]
+    return shape.first_parameter + index if kind == "parameter" else shape.shared * index
+
+
 def _touched_by_group(
     group: Group, rows: GroupRows, shape: Shape, point_column: Array, camera_image: Array
 ) -> list[_Touched]:
@@ -102,7 +109,7 @@ def _touched_by_group(
         elif kind == "camera" and not shape.shared:
             touched.append(_Touched(_padded_rows(row, 6, shape.image), False, camera_image[index]))
         else:
-            first = point_column[index] if kind == "point" else shape.shared * index
+            first = _first_column(kind, index, shape, point_column)
             touched.append(_Touched(row, True, first[:, None] + jnp.arange(row.shape[1])))
     return touched
 
@@ -164,7 +171,7 @@ def add_kept_rays(
     )
     of_image = jnp.stack([jnp.stack(row) for row in rows.image])
     of_point = jnp.stack([jnp.stack(row) for row in rows.point])
-    first = shape.shared * shape.cameras + 3 * rays.point
+    first = shape.first_kept_point + 3 * rays.point
     touched = [
         _Touched(of_image[:, : shape.image], False, rays.image),
         _Touched(of_point, True, first[:, None] + jnp.arange(3)),

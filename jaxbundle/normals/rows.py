@@ -7,13 +7,13 @@ What depends on the image alone, the rotation matrix, is differentiated once an 
 ray give the rest. All quantities are scalars, which may be arrays of any one shape.
 """
 
-from typing import NamedTuple
+from typing import Any, NamedTuple
 
 import jax
 import jax.numpy as jnp
 from jaxtyping import Array, Float
 
-from jaxbundle.block.residuals import Group, touched_values
+from jaxbundle.block.residuals import Group, touched_values, weighted
 from jaxbundle.block.unknowns import Unknowns
 from jaxbundle.camera.collinearity import Vector, photo_vector
 from jaxbundle.camera.model import CameraModel, ImagePoint
@@ -101,18 +101,23 @@ def group_rows(
     touches, index, weights = group.kind.touches, group.indices, group.weights
     touched = tuple(touched_values(unknowns, kind, i) for kind, i in zip(touches, index, strict=True))
 
-    def residual(*touched: tuple) -> tuple[Scalar, ...]:
-        return group.kind.residual(*touched, tuple(group.values))
+    def residual(*touched: Any) -> tuple[Scalar, ...]:
+        return group.kind.residuals(touched, tuple(group.values), tuple(group.constants))
 
     v, transposed = jax.vjp(residual, *touched)
     rows: list[list[Array]] = [[] for _ in touches]
     for k in range(len(v)):
-        cotangent = tuple(weights[j] if j == k else jnp.zeros_like(weights[j]) for j in range(len(v)))
+        if weights.ndim == 3:
+            cotangent = tuple(weights[k])
+        else:
+            cotangent = tuple(weights[j] if j == k else jnp.zeros_like(weights[j]) for j in range(len(v)))
         for entity, (kind, g) in enumerate(zip(touches, transposed(cotangent), strict=True)):
             if kind == "image":
                 turns = rotation_derivatives[:, :, index[entity]]
                 g = (*g[0], *(chained(g[1], tuple(turns[:, a])) for a in range(3)))
             elif kind == "camera":
                 g = tuple(g[column] for column in columns)
-            rows[entity].append(jnp.stack(g) if g else jnp.zeros((0, *weights[0].shape)))
-    return GroupRows(jnp.stack(v) * weights, tuple(jnp.stack(row) for row in rows))
+            elif kind == "parameter":
+                g = (g,)
+            rows[entity].append(jnp.stack(g) if g else jnp.zeros((0, group.values.shape[1])))
+    return GroupRows(weighted(jnp.stack(v), group), tuple(jnp.stack(row) for row in rows))

@@ -16,7 +16,7 @@ from jax import lax
 from jax.sharding import NamedSharding, PartitionSpec
 from jaxtyping import Array, Bool, Float
 
-from jaxbundle.block.residuals import group_residuals
+from jaxbundle.block.residuals import group_residuals, weighted
 from jaxbundle.block.unknowns import Correction, Unknowns, attitude_derivatives, corrected
 from jaxbundle.normals.arrange import Arranged, Problem
 from jaxbundle.normals.cells import Tiles
@@ -80,7 +80,7 @@ class Reduced(NamedTuple):
 
 def reduced_system(rays: ImageSums, kept: KeptSums, p: Problem) -> Reduced:
     """The reduced normal equations of images and border from all sums."""
-    o, (d, q, cameras, kept_points, *_) = p.observations, p.shape
+    o, (d, q, cameras, *_) = p.observations, p.shape
     m, inner = d + q + 2, q * cameras
     u, gradient = rays.image[:, :d, :d] + kept.diagonal, rays.image[:, :d, m - 2] + kept.gradient
     coupling, border, border_gradient = kept.coupling, kept.border, kept.border_gradient
@@ -99,7 +99,7 @@ def reduced_system(rays: ImageSums, kept: KeptSums, p: Problem) -> Reduced:
     pool = -rays.pool if kept.pool is None else kept.pool - rays.pool
     free = o.exterior_free.T if d == 6 else jnp.concatenate([o.exterior_free, o.interior_free]).T
     inner_free = o.interior_free.T.ravel() if inner else jnp.zeros(0, bool)
-    kept_free = o.point_free[:, o.point_free.shape[1] - kept_points :].T.ravel()
+    kept_free = o.point_free[:, o.point_free.shape[1] - p.shape.kept :].T.ravel()
     system = ReducedSystem(
         pool.at[p.diagonal_pair].add(u),
         jnp.diagonal(u, axis1=1, axis2=2),
@@ -109,7 +109,7 @@ def reduced_system(rays: ImageSums, kept: KeptSums, p: Problem) -> Reduced:
         border,
         border_diagonal,
         eliminated - border_gradient,
-        jnp.concatenate([inner_free, kept_free]),
+        jnp.concatenate([inner_free, o.parameter_free, kept_free]),
     )
     return Reduced(system, gradient, border_gradient)
 
@@ -123,13 +123,14 @@ def correction_of(
     interior = jnp.zeros_like(unknowns.images.interior)
     if o.columns:
         interior = interior.at[np.array(o.columns)].set(by_camera.T)
-    return Correction(images[:, :6].T, interior, border[q * cameras :].reshape(-1, 3).T)
+    parameters, points = jnp.split(border[q * cameras :], [p.shape.parameters])
+    return Correction(images[:, :6].T, interior, parameters, points.reshape(-1, 3).T)
 
 
 def direction_of(correction: Correction, turns: Float[Array, "9 3 image"]) -> Unknowns:
     """The correction as a direction in the space of the unknowns."""
     turned = jnp.sum(turns * correction.exterior[3:], 1)
-    return Unknowns(turned, correction.exterior[:3], correction.interior, correction.points)
+    return Unknowns(turned, correction.exterior[:3], correction.interior, correction.parameters, correction.points)
 
 
 class _RayPart(NamedTuple):
@@ -316,7 +317,7 @@ def _whole_residuals(unknowns: Arranged, p: Problem) -> list[Array]:
         residuals += [jnp.where(w > 0, r * w, 0.0) for r, w in zip(v, rays.weights, strict=True)]
     if o.groups:
         flat = unknowns.flat()
-        residuals += [group_residuals(flat, group) * group.weights for group in o.groups]
+        residuals += [weighted(group_residuals(flat, group), group) for group in o.groups]
     return residuals
 
 

@@ -59,6 +59,7 @@ class BlockCofactors(NamedTuple):
     exterior: Float[Array, "image 6 6"]
     interior: Float[Array, "camera element element"]
     object_points: Float[Array, "point 3 3"]
+    parameters: Float[Array, "parameter parameter"]
 
 
 class StandardDeviations(NamedTuple):
@@ -68,6 +69,7 @@ class StandardDeviations(NamedTuple):
     angles: Float[Array, "image 3"]
     interior: Float[Array, "camera element"]
     object_points: Float[Array, "point 3"]
+    parameters: Float[Array, " parameter"]
 
 
 class Adjustment(eqx.Module):
@@ -131,10 +133,11 @@ class Adjustment(eqx.Module):
         if self.cofactors is None:
             raise ValueError("this adjustment was made without standard deviations: call adjust(..., precision=True)")
         q = self.cofactors
-        exterior, interior, points = (
-            on_host(self.sigma0) * _roots(c) for c in (q.exterior, q.interior, q.object_points)
+        exterior, interior, points, parameters = (
+            on_host(self.sigma0) * _roots(c) for c in (q.exterior, q.interior, q.object_points, q.parameters)
         )
-        return StandardDeviations(*map(on_device, (exterior[:, :3], exterior[:, 3:], interior, points)))
+        parts = exterior[:, :3], exterior[:, 3:], interior, points, parameters
+        return StandardDeviations(*map(on_device, parts))
 
     @property
     def interior_correlations(self) -> Float[Array, "camera element element"]:
@@ -186,4 +189,4 @@ def _counted(number: int, noun: str) -> str:
 def _roots(cofactors: Array | np.ndarray) -> Any:
     """Roots of the diagonals, in numpy where they are concrete."""
     xp = array_module(cofactors)
-    return xp.sqrt(xp.diagonal(on_host(cofactors), axis1=1, axis2=2))
+    return xp.sqrt(xp.diagonal(on_host(cofactors), axis1=-2, axis2=-1))

@@ -77,8 +77,8 @@ def _residuals(
     kept = 2 if problem.kept_rays.image.shape[0] else 0
     rays = restored_rays(plan, weighted[:2], weighted[2 : 2 + kept])
     tables = [rays, *(on_device(on_host(v).T) for v in weighted[2 + kept :])]
-    sigmas = [block.rays.sigmas, *(group.sigmas for group in block.groups)]
-    unweighted = (on_device(on_host(v) * on_host(s)) for v, s in zip(tables, sigmas, strict=True))
+    unweighted = [on_device(on_host(rays) * on_host(block.rays.sigmas))]
+    unweighted += [group.unweighted(v) for group, v in zip(block.groups, tables[1:], strict=True)]
     return tuple(tables), tuple(unweighted)
 
 
@@ -99,9 +99,9 @@ def _adjusted(
     elements = block.interior.elements.shape[1]
     interior = on_device(on_host(unknowns.interior)[:elements].T)
     return eqx.tree_at(
-        lambda b: (b.object_points, b.exterior, b.interior),
+        lambda b: (b.object_points, b.exterior, b.interior, b.parameters),
         block,
-        (points, ExteriorOrientation(centre, turned), InteriorOrientation(interior)),
+        (points, ExteriorOrientation(centre, turned), InteriorOrientation(interior), unknowns.parameters),
     )
 
 
@@ -125,7 +125,8 @@ def _cofactors(block: Block, plan: Arrangement, answer: Answer) -> BlockCofactor
     place[columns, np.arange(count)] = 1.0
     interior = place @ own @ place.T
 
-    at = shape.shared * shape.cameras + 3 * np.arange(shape.kept)[:, None] + np.arange(3)
+    at = shape.first_kept_point + 3 * np.arange(shape.kept)[:, None] + np.arange(3)
     kept = border[at[:, :, None], at[:, None, :]]
+    inside = slice(shape.first_parameter, shape.first_parameter + plan.order.parameters)
     points = xp.concatenate([on_host(q.points).transpose(2, 3, 0, 1).reshape(-1, 3, 3), kept])[plan.order.point]
-    return BlockCofactors(on_device(exterior), on_device(interior), on_device(points))
+    return BlockCofactors(*map(on_device, (exterior, interior, points, border[inside, inside])))

@@ -34,6 +34,7 @@ def fingerprint(block: Block, method: str) -> str:
         structure.ray_point,
         structure.exterior_free,
         structure.interior_free,
+        structure.parameter_free,
         structure.point_free,
         *jax.tree.leaves(block),
         *(x for group in block.groups for x in (group.structure.indices, group.structure.observed)),

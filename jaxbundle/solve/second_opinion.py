@@ -59,7 +59,7 @@ def solve(unknowns: Unknowns, args: Arguments, method: str, max_iterations: int)
     if any(isinstance(leaf, Tracer) for leaf in jax.tree.leaves((unknowns, args))):
         raise ValueError('engine "jaxopt" works outside of jit, grad and vmap; there take engine "block"')
     o = args.observations
-    masks = o.exterior_free, o.interior_free, o.point_free
+    masks = o.exterior_free, o.interior_free, o.parameter_free, o.point_free
     free = jnp.asarray(np.flatnonzero(np.concatenate([np.ravel(mask) for mask in masks])))
     if len(free) > MOST_UNKNOWNS:
         raise ValueError(
@@ -99,11 +99,11 @@ def _cost(unknowns: Unknowns, observations: Observations) -> Float[Array, ""]:
 @eqx.filter_jit
 def _moved(unknowns: Unknowns, o: Observations, free: Int[Array, " free"], d: Float[Array, " free"]) -> Unknowns:
     """The unknowns after a correction of the free elements."""
-    held = jnp.zeros(o.exterior_free.shape), jnp.zeros(o.interior_free.shape), jnp.zeros(o.point_free.shape)
-    flat, unflatten = ravel_pytree(held)
-    exterior, by_column, points = unflatten(flat.at[free].set(d))
+    masks = o.exterior_free, o.interior_free, o.parameter_free, o.point_free
+    flat, unflatten = ravel_pytree(tuple(jnp.zeros(mask.shape) for mask in masks))
+    exterior, by_column, parameters, points = unflatten(flat.at[free].set(d))
     interior = jnp.zeros_like(unknowns.interior).at[np.array(o.columns, int)].set(by_column)
-    return corrected(unknowns, Correction(exterior, interior, points), o.in_angles, o.system)
+    return corrected(unknowns, Correction(exterior, interior, parameters, points), o.in_angles, o.system)
 
 
 @eqx.filter_jit

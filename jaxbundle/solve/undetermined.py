@@ -13,6 +13,7 @@ MOST_NAMED = 3000  # kept unknowns; beyond, only where the factorisation failed 
 CURES = {
     "image": "measure more and better spread points on the image, or add control",
     "camera": "hold the element, give control in relief, or add convergent and turned images",
+    "parameter": "hold it, give it a prior value with a sigma, or observe more of what it acts on",
     "point": "measure the point on one more image from elsewhere, give it coordinates or drop it",
 }
 
@@ -72,8 +73,10 @@ def kept_names(structure: Structure, a: Arrangement) -> dict[int, tuple[str, str
             element = camera.model.elements[k] if k < len(camera.model.elements) else f"element {k}"
             at = d * int(row) + 6 + j if d > 6 else border + q * int(row) + j
             names[at] = ("camera", f"{element} of camera {camera.name}")
+    for k, parameter in enumerate(structure.parameters):
+        names[border + a.shape.first_parameter + k] = ("parameter", parameter.name)
     for k, p in enumerate(a.kept):
         for c, letter in enumerate("XYZ"):
-            row = border + a.shape.shared * a.shape.cameras + 3 * k + c
+            row = border + a.shape.first_kept_point + 3 * k + c
             names[row] = ("point", f"{letter} of point {structure.point_names[p]}")
     return names

@@ -24,7 +24,8 @@ images, points, rays = start.centre.shape[1], start.points.shape[1], o.ray_image
 def moved(x: jax.Array):
     """The unknowns after corrections x: 6 and 3 an image, 3 a point."""
     exterior, interior = x[: 6 * images].reshape(6, images), x[6 * images : 9 * images].reshape(3, images)
-    return corrected(start, Correction(exterior, interior, x[9 * images :].reshape(3, points)), None, o.system)
+    correction = Correction(exterior, interior, jnp.zeros(0), x[9 * images :].reshape(3, points))
+    return corrected(start, correction, None, o.system)
 
 
 @jax.jit
@@ -39,12 +40,12 @@ def rows(x: jax.Array) -> jax.Array:
     def one(local: jax.Array) -> jax.Array:  # (12, ray): every ray with unknowns of its own
         u = moved(x)
         image, point = o.ray_image, o.ray_point
-        own = type(u)(u.rotation[:, image], u.centre[:, image], u.interior[:, image], u.points[:, point])
-        own = corrected(own, Correction(local[:6], local[6:9], local[9:]), None, o.system)
+        own = type(u)(u.rotation[:, image], u.centre[:, image], u.interior[:, image], u.parameters, u.points[:, point])
+        own = corrected(own, Correction(local[:6], local[6:9], jnp.zeros(0), local[9:]), None, o.system)
         n = jnp.arange(rays)
         apart = type(o)(
             o.model, o.columns, o.system, n, n, n, o.coordinates, o.weights, (), o.exterior_free, o.interior_free,
-            o.point_free, None,
+            o.parameter_free, o.point_free, None,
         )  # fmt: skip
         return ray_residuals(own, apart)
 
