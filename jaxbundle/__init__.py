@@ -62,6 +62,8 @@ _MODULES = {
     ),
     "block.changes": ("with_interior_held",),
     "block.datum": ("with_datum",),
+    "block.geodetic": ("DISTANCES", "LINES", "PLANES", "geodetic_kind"),
+    "block.navigation": ("ATTITUDES", "GNSS"),
     "block.datum_defect": (
         "DatumDefect",
         "datum_defect",

@@ -20,7 +20,8 @@ from folders import (
 
 from jaxbundle.block.block import Block, Datum
 from jaxbundle.block.datum import with_datum
-from jaxbundle.block.observations import CONTROL, DISTANCES, STATIONS, ObservationKind, observation_group
+from jaxbundle.block.geodetic import DISTANCES
+from jaxbundle.block.observations import CONTROL, STATIONS, ObservationKind, observation_group
 from jaxbundle.block.problems import BlockError
 from jaxbundle.camera.model import CameraModel
 from jaxbundle.geometry.rotation import ALPHA_OMEGA_KAPPA

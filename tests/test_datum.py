@@ -11,7 +11,8 @@ import pytest
 from jaxbundle.block.block import Block, Datum
 from jaxbundle.block.datum import with_datum
 from jaxbundle.block.datum_defect import datum_defect
-from jaxbundle.block.observations import CONTROL, DISTANCES, STATIONS, ObservationGroup, observation_group
+from jaxbundle.block.geodetic import DISTANCES
+from jaxbundle.block.observations import CONTROL, STATIONS, ObservationGroup, observation_group
 from jaxbundle.block.problems import BlockError
 from jaxbundle.planning.simulate import simulate
 from jaxbundle.solve.adjust import adjust

@@ -10,7 +10,8 @@ from dense import centred, dense_cofactors, dense_step, dense_system, difference
 from simulated import small_block
 
 from jaxbundle.block.block import Block
-from jaxbundle.block.observations import DISTANCES, observation_group
+from jaxbundle.block.geodetic import DISTANCES
+from jaxbundle.block.observations import observation_group
 from jaxbundle.block.unknowns import Unknowns, unknowns_of
 from jaxbundle.camera.model import BROWN, DISTORTION_FREE
 from jaxbundle.normals.arrange import arrange, arranged_unknowns, problem, restored_unknowns

@@ -19,7 +19,6 @@ from collections.abc import Callable
 from dataclasses import dataclass
 
 import equinox as eqx
-import jax.numpy as jnp
 import numpy as np
 from jaxtyping import Array, Bool, Float, Int
 
@@ -102,14 +101,22 @@ def _projection_centre(image: tuple[Vector, Rotation], observed: Vector) -> Vect
     return _coordinates(image[0], observed)
 
 
-def _distance(start: Vector, end: Vector, observed: tuple[Scalar]) -> tuple[Scalar]:
-    squared = sum((b - a) ** 2 for a, b in zip(start, end, strict=True))
-    return (jnp.sqrt(squared) - observed[0],)
+def _parameter(parameter: Scalar, observed: tuple[Scalar]) -> tuple[Scalar]:
+    return (parameter - observed[0],)
+
+
+def _interior(camera: tuple[Scalar, ...], observed: tuple[Scalar, ...]) -> tuple[Scalar, ...]:
+    return tuple(element - value for element, value in zip(camera, observed, strict=False))  # a mixture has one more
 
 
 CONTROL = ObservationKind("control", ("X", "Y", "Z"), ("point",), _coordinates, in_object_system=True)
 STATIONS = ObservationKind("stations", ("X0", "Y0", "Z0"), ("image",), _projection_centre, in_object_system=True)
-DISTANCES = ObservationKind("distances", ("distance",), ("point", "point"), _distance)
+PARAMETERS = ObservationKind("parameters", ("value",), ("parameter",), _parameter)
+
+
+def interior_priors(elements: tuple[str, ...]) -> ObservationKind:
+    """Values of interior elements known before, of cameras that have these elements or as many."""
+    return ObservationKind("interior", elements, ("camera",), _interior)
 
 
 def observation_group(

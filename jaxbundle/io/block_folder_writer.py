@@ -7,7 +7,8 @@ import numpy as np
 from jaxtyping import Float
 
 from jaxbundle.block.block import CENTRE_ELEMENTS, Block, Camera, Structure
-from jaxbundle.block.observations import CONTROL, DISTANCES, STATIONS
+from jaxbundle.block.geodetic import DISTANCES
+from jaxbundle.block.observations import CONTROL, STATIONS
 from jaxbundle.block.problems import BlockError, Problem
 from jaxbundle.camera.model import CAMERA_MODELS
 from jaxbundle.io.block_folder import RADIANS

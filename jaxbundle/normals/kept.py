@@ -101,8 +101,8 @@ def _first_column(kind: str, index: Array, shape: Shape, point_column: Array) ->
 def _touched_by_group(
     group: Group, rows: GroupRows, shape: Shape, point_column: Array, camera_image: Array
 ) -> list[_Touched]:
-    """Where the rows of a group belong."""
-    touched = []
+    """Where the rows of a group belong; all that goes into the border goes as one."""
+    touched, border = [], []
     for kind, index, row in zip(group.kind.touches, group.indices, rows.rows, strict=True):
         if kind == "image":
             touched.append(_Touched(_padded_rows(row, 0, shape.image), False, index))
@@ -110,7 +110,10 @@ def _touched_by_group(
             touched.append(_Touched(_padded_rows(row, 6, shape.image), False, camera_image[index]))
         else:
             first = _first_column(kind, index, shape, point_column)
-            touched.append(_Touched(row, True, first[:, None] + jnp.arange(row.shape[1])))
+            border.append((row, first[:, None] + jnp.arange(row.shape[1])))
+    if border:
+        rows_there, columns = zip(*border, strict=True)
+        touched.append(_Touched(jnp.concatenate(rows_there, 1), True, jnp.concatenate(columns, 1)))
     return touched
 
 

@@ -1,0 +1,45 @@
+"""Navigation data: projection centres and attitudes observed in flight, with their systematic errors R_i (003, 1.19).
+
+    v = X0 + R l + s + s' t - X_observed              l: from the projection centre to the antenna, system of the photograph
+    v = angles(R R_b) + a + a' t - angles_observed    R_b: from the photograph to the inertial unit, small angles b
+
+Shift s, a and drift s', a' belong to a strip or to the whole block, lever arm l and boresight b to a camera on its mount; all
+are parameters of the block: unknown, held, or with a prior of their own. t is time, or any number that grows with it.
+"""
+
+from jaxbundle.block.geodetic import wrapped
+from jaxbundle.block.observations import ObservationKind
+from jaxbundle.camera.collinearity import Vector
+from jaxbundle.geometry import rotation
+from jaxbundle.geometry.rotation import ALPHA_OMEGA_KAPPA, OMEGA_PHI_KAPPA, Rotation, RotationSystem
+
+
+def _centre(image: tuple[Vector, Rotation], *numbers) -> Vector:
+    lever, shift, drift, observed, (time,) = numbers[:3], numbers[3:6], numbers[6:9], numbers[9], numbers[10]
+    antenna = rotation.apply(image[1], (lever[0], lever[1], lever[2]))
+    x, y, z = (image[0][k] + antenna[k] + shift[k] + drift[k] * time - observed[k] for k in range(3))
+    return x, y, z
+
+
+def _angles(system: RotationSystem, image: tuple[Vector, Rotation], numbers: tuple) -> Vector:
+    boresight, shift, drift, observed, (time,) = numbers[:3], numbers[3:6], numbers[6:9], numbers[9], numbers[10]
+    unit = rotation.product(image[1], system.rotation_from_angles(boresight[0], boresight[1], boresight[2]))
+    angles = system.angles_from_rotation(unit)
+    x, y, z = (wrapped(angles[k] + shift[k] + drift[k] * time - observed[k]) for k in range(3))
+    return x, y, z
+
+
+def _omega_phi_kappa(image: tuple[Vector, Rotation], *numbers) -> Vector:
+    return _angles(OMEGA_PHI_KAPPA, image, numbers)
+
+
+def _alpha_omega_kappa(image: tuple[Vector, Rotation], *numbers) -> Vector:
+    return _angles(ALPHA_OMEGA_KAPPA, image, numbers)
+
+
+_TOUCHES = ("image", *["parameter"] * 9)
+GNSS = ObservationKind("stations", ("X0", "Y0", "Z0"), _TOUCHES, _centre, in_object_system=True, constants=("time",))
+ATTITUDES = {
+    system.name: ObservationKind("attitudes", system.angles, _TOUCHES, residual, constants=("time",))
+    for system, residual in ((OMEGA_PHI_KAPPA, _omega_phi_kappa), (ALPHA_OMEGA_KAPPA, _alpha_omega_kappa))
+}
