@@ -28,9 +28,10 @@ if TYPE_CHECKING:
     from jaxbundle.block.changes import with_interior_held
     from jaxbundle.block.datum import with_datum
     from jaxbundle.block.datum_defect import DatumDefect, datum_defect
+    from jaxbundle.block.geodetic import DISTANCES, LINES, PLANES, geodetic_kind
+    from jaxbundle.block.navigation import ATTITUDES, GNSS
     from jaxbundle.block.observations import (
         CONTROL,
-        DISTANCES,
         STATIONS,
         ObservationGroup,
         ObservationKind,
@@ -70,7 +71,6 @@ _MODULES = {
     ),
     "block.observations": (
         "CONTROL",
-        "DISTANCES",
         "STATIONS",
         "ObservationGroup",
         "ObservationKind",

@@ -126,7 +126,7 @@ def correlated(block: Block) -> Block:
     (camera,) = block.structure.cameras
     sigmas = np.where(np.arange(len(camera.model.elements)) == 0, 0.01, np.nan)
     group = observation_group(
-        interior_priors(camera.model.elements), np.zeros((1, 1), int), block.interior.elements, sigmas[None]
+        interior_priors(camera.model.elements), np.zeros((1, 1), int), np.asarray(block.interior.elements), sigmas[None]
     )
     return dataclasses.replace(block, groups=(*block.groups, group))
 

@@ -1,10 +1,10 @@
-"""Navigation data: projection centres and attitudes observed in flight, with their systematic errors R_i (003, 1.19).
+"""Navigation data: projection centres and attitudes observed in flight, and their systematic errors (003, R_i of 1.19).
 
-    v = X0 + R l + s + s' t - X_observed              l: from the projection centre to the antenna, system of the photograph
-    v = angles(R R_b) + a + a' t - angles_observed    R_b: from the photograph to the inertial unit, small angles b
+    v = X0 + R l + s + s' t - X_observed              l: from projection centre to antenna, system of the photograph
+    v = angles(R R_b) + a + a' t - angles_observed    R_b: from photograph to inertial unit, small angles b
 
-Shift s, a and drift s', a' belong to a strip or to the whole block, lever arm l and boresight b to a camera on its mount; all
-are parameters of the block: unknown, held, or with a prior of their own. t is time, or any number that grows with it.
+Shift s, a and drift s', a' belong to a strip or to the whole block, lever arm l and boresight b to a camera on its mount.
+All are parameters of the block: unknown, held, or with a prior of their own. t is time, or any number that grows with it.
 """
 
 from jaxbundle.block.geodetic import wrapped

@@ -21,9 +21,9 @@ from jaxbundle.block.block import (
     Rays,
     Structure,
 )
+from jaxbundle.block.geodetic import DISTANCES
 from jaxbundle.block.observations import (
     CONTROL,
-    DISTANCES,
     STATIONS,
     ObservationGroup,
     ObservationKind,

@@ -26,6 +26,7 @@ from jaxbundle.solve.adjustment import Adjustment, Iterations, Status
 from jaxbundle.solve.answer import adjustment
 from jaxbundle.solve.checkpoint import Keeper, fingerprint
 from jaxbundle.solve.levenberg_marquardt import Arguments, BundleSolver, State
+from jaxbundle.solve.robust import AbstractWeightFunction, Solve, adjust_robustly
 from jaxbundle.solve.search import DampedSearch, FullStep
 from jaxbundle.solve.stopping import AbstractStoppingRule, AngleRule
 
@@ -63,6 +64,7 @@ def adjust(
     reduced: Method = "auto",
     devices: int | None = None,
     checkpoint: Path | None = None,
+    robust: AbstractWeightFunction | None = None,
     progress: Callable[[Progress], None] | None = None,
 ) -> Adjustment:
     """Adjusts a block by least squares; its values are the start.
@@ -72,7 +74,8 @@ def adjust(
     blocks. `reduced`: how the reduced equations are solved, "dense", "panels" or "pcg" (conjugate gradients, which give
     no standard deviations), "auto" by their size. `devices`: JAX devices to deal the points to; if None all of them, or
     one for a small block. `checkpoint`: a file that keeps the state after every accepted iteration; where it exists the
-    solve goes on from it. `progress` is called after every iteration. Ctrl-C ends the iterations and keeps the last
+    solve goes on from it. `robust`: a weight function for gross errors in the rays, as Huber(); its weights are kept in
+    `reweighting`. `progress` is called after every iteration. Ctrl-C ends the iterations and keeps the last
     accepted unknowns.
 
     Raises: BlockError with all problems of the block; CheckpointError for a checkpoint of another block; ValueError for
@@ -85,24 +88,51 @@ def adjust(
         raise ValueError("conjugate gradients give no standard deviations: call adjust(..., precision=False)")
     if block.concrete:
         require_valid(block)
+    wanted = _Wanted(method, stop or AngleRule(), max_iterations, engine, reduced, devices, progress)
     block = with_datum(block)
+    if robust is None:
+        return _least_squares(block, wanted, precision, checkpoint)
+    if checkpoint is not None:
+        raise ValueError("a robust adjustment solves many times and keeps no checkpoint")
+    solve = Solve(
+        lambda b: _least_squares(b, wanted, False, None), lambda b: _least_squares(b, wanted, precision, None)
+    )
+    return adjust_robustly(block, robust, solve)
+
+
+class _Wanted(NamedTuple):
+    """How to solve."""
+
+    method: str
+    rule: AbstractStoppingRule
+    max_iterations: int
+    engine: str
+    reduced: Method
+    devices: int | None
+    progress: Callable[[Progress], None] | None
+
+
+def _least_squares(block: Block, wanted: _Wanted, precision: bool, checkpoint: Path | None) -> Adjustment:
+    """One adjustment of a block whose datum is chosen."""
+    method, rule = wanted.method, wanted.rule
     origin = jax.lax.stop_gradient(on_host(block.exterior.projection_centre).mean(0))
     centred = block.moved(-origin)
-    rule, optimised = stop or AngleRule(), len(block.structure.ray_image) >= RAYS_FOR_OPTIMISATION
+    optimised = len(block.structure.ray_image) >= RAYS_FOR_OPTIMISATION
     centres = np.asarray(block.exterior.projection_centre) if block.concrete else None
-    plan = arrange(block.structure, block.groups, centres, devices or _useful_devices(block), reduced, precision)
+    devices = wanted.devices or _useful_devices(block)
+    plan = arrange(block.structure, block.groups, centres, devices, wanted.reduced, precision)
     arguments = Arguments(problem(plan, centred), rule.arranged(plan.order))
-    if engine == "jaxopt":
+    if wanted.engine == "jaxopt":
         # jaxopt warns at import that it is no longer developed: only who asks for it shall load it
         second_opinion = importlib.import_module("jaxbundle.solve.second_opinion")
         args = second_opinion.Arguments(observations_of(centred), rule)
-        unknowns, iterations = second_opinion.solve(unknowns_of(centred), args, method, max_iterations)
+        unknowns, iterations = second_opinion.solve(unknowns_of(centred), args, method, wanted.max_iterations)
         arranged = arranged_unknowns(plan, unknowns)
     else:
-        run = _Run(centred, plan, arguments, method, max_iterations, optimised)
+        run = _Run(centred, plan, arguments, method, wanted.max_iterations, optimised)
         if block.concrete:
             keeper = None if checkpoint is None else Keeper(checkpoint, fingerprint(block, method))
-            arranged, iterations = _step_by_step(run, progress, keeper)
+            arranged, iterations = _step_by_step(run, wanted.progress, keeper)
         else:
             arranged, iterations = _in_one(run)
     return adjustment(

@@ -17,6 +17,7 @@ REDUCED = {
     "pcg": f"preconditioned conjugate gradients to {TOLERANCE:.0e} of the right-hand side",
 }
 MOST_NAMED = 10  # undetermined unknowns in a summary
+DOWN_WEIGHTED = 0.5  # a robust weight below which a ray is listed
 
 
 class Status(IntEnum):
@@ -72,6 +73,15 @@ class StandardDeviations(NamedTuple):
     parameters: Float[Array, " parameter"]
 
 
+class Reweighting(eqx.Module):
+    """Robust weights of the rays, 1 for those that are believed in full; the weight function and its limit."""
+
+    name: str = eqx.field(static=True)
+    limit: float = eqx.field(static=True)
+    rounds: int = eqx.field(static=True)
+    weights: Float[Array, " ray"]
+
+
 class Adjustment(eqx.Module):
     """An adjusted block. `residuals`: rays first (unit of the rays, y up), then every group of `block.groups`.
 
@@ -87,6 +97,7 @@ class Adjustment(eqx.Module):
     method: str = eqx.field(static=True)
     reduced: str = eqx.field(static=True)  # how the reduced equations were solved
     undetermined: tuple[str, ...] = eqx.field(static=True, default=())
+    reweighting: Reweighting | None = None  # None: not robust
 
     @property
     def observations(self) -> int:
@@ -158,6 +169,15 @@ class Adjustment(eqx.Module):
         adjusted = on_host(self.block.object_points)[self.block.structure.check_point]
         return on_device(adjusted - on_host(self.block.check_points.coordinates))
 
+    def _reweighted(self) -> str:
+        robust = self.reweighting
+        assert robust is not None
+        low = int((np.asarray(robust.weights) < DOWN_WEIGHTED).sum())
+        return (
+            f"Robust weights: {robust.name}, limit {robust.limit:g}, {robust.rounds} rounds;"
+            f" {_counted(low, 'ray')} below {DOWN_WEIGHTED:g}"
+        )
+
     def summary(self) -> str:
         """The result in a few lines; the report says the rest."""
         structure, n = self.block.structure, self.iterations
@@ -175,6 +195,7 @@ class Adjustment(eqx.Module):
             f"Datum: {structure.datum}",
             f"Reduced equations: {REDUCED[self.reduced]}",
             f"vTPv {float(n.initial_cost) * 2:.8g} -> {float(self.vtpv):.8g}, sigma0 {float(self.sigma0):.6g}",
+            *([] if self.reweighting is None else [self._reweighted()]),
             *(f"Undetermined: {name}" for name in self.undetermined[:MOST_NAMED]),
         ]
         if len(self.undetermined) > MOST_NAMED:

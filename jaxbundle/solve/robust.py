@@ -1,0 +1,138 @@
+"""Robust estimation by iterated reweighting: gross errors lose their weight, and are listed.
+
+    minimise  sum rho(t),    t = sqrt(v_x^2 / s_x^2 + v_y^2 / s_y^2) / s      of every ray
+    weight    w(t) = rho'(t) / t                                              of the next least-squares adjustment
+
+    Huber (1964)                w = 1 for t <= k, k / t beyond
+    Cauchy                      w = 1 / (1 + (t / k)^2)
+    Tukey's biweight (1974)     w = (1 - (t / k)^2)^2 for t <= k, 0 beyond
+    Danish method               w = 1 for t <= k, exp(1 - (t / k)^2) beyond       after Krarup, Juhl & Kubik (1980)
+
+s is the rays' own standard deviation of unit weight, free of gross errors: the median of t over that of the length of
+a normal vector in the plane, sqrt(2 ln 2), and over the square root of the mean redundancy number, since residuals are
+smaller than errors. The last three forget large residuals altogether and have many minima: they start from Huber's.
+"""
+
+import abc
+from collections.abc import Callable
+from typing import ClassVar, NamedTuple
+
+import equinox as eqx
+import jax.numpy as jnp
+import numpy as np
+from jaxtyping import Array, Float
+
+from jaxbundle.block.block import Block
+from jaxbundle.numerics.host import on_device
+from jaxbundle.solve.adjustment import Adjustment, Reweighting
+
+MEDIAN_LENGTH = float(np.sqrt(2 * np.log(2)))  # of a vector of two standard normal numbers
+SETTLED = 1e-4  # change of a weight below which the weights are at rest
+MOST_ROUNDS = 50
+LEAST_WEIGHT = 1e-12  # of a ray without weight, in place of 0: its sigma stays a number
+
+
+class AbstractWeightFunction(eqx.Module):
+    """A weight by the normed length of a ray's residual; `limit` is k."""
+
+    name: ClassVar[str]
+    limit: eqx.AbstractVar[float]
+    redescending: ClassVar[bool] = True  # large residuals lose their influence altogether
+
+    @abc.abstractmethod
+    def weights(self, t: Float[Array, " ray"]) -> Float[Array, " ray"]:
+        """Weights between 0 and 1."""
+
+
+class Huber(AbstractWeightFunction):
+    """The limit is exceeded by 5 % of errors that are normal in both coordinates."""
+
+    name: ClassVar[str] = "huber"
+    limit: float = 2.45
+    redescending: ClassVar[bool] = False
+
+    def weights(self, t: Float[Array, " ray"]) -> Float[Array, " ray"]:
+        return jnp.minimum(1.0, self.limit / jnp.maximum(t, self.limit))
+
+
+class Cauchy(AbstractWeightFunction):
+    """95 % efficient for normal errors of one coordinate at 2.385 (Holland & Welsch 1977), for two a little more."""
+
+    name: ClassVar[str] = "cauchy"
+    limit: float = 2.385
+
+    def weights(self, t: Float[Array, " ray"]) -> Float[Array, " ray"]:
+        return 1 / (1 + (t / self.limit) ** 2)
+
+
+class Tukey(AbstractWeightFunction):
+    """95 % efficient for normal errors of one coordinate at 4.685 (Holland & Welsch 1977); here wider, for two."""
+
+    name: ClassVar[str] = "tukey"
+    limit: float = 6.0
+
+    def weights(self, t: Float[Array, " ray"]) -> Float[Array, " ray"]:
+        return jnp.maximum(0.0, 1 - (t / self.limit) ** 2) ** 2
+
+
+class Danish(AbstractWeightFunction):
+    """Nothing changes below the limit, which one normal error in ninety exceeds."""
+
+    name: ClassVar[str] = "danish"
+    limit: float = 3.0
+
+    def weights(self, t: Float[Array, " ray"]) -> Float[Array, " ray"]:
+        return jnp.exp(jnp.minimum(0.0, 1 - (t / self.limit) ** 2))
+
+
+WEIGHT_FUNCTIONS = {function.name: function for function in (Huber, Cauchy, Tukey, Danish)}
+
+
+class Solve(NamedTuple):
+    """How a block is adjusted between two changes of its weights, and how at last."""
+
+    quickly: Callable[[Block], Adjustment]
+    fully: Callable[[Block], Adjustment]
+
+
+def adjust_robustly(block: Block, function: AbstractWeightFunction, solve: Solve) -> Adjustment:
+    """The adjustment with the weights that its own residuals ask for; sigmas stay as they are given.
+
+    Raises: ValueError under tracing.
+    """
+    if not block.concrete:
+        raise ValueError("robust estimation chooses its weights outside of jit, grad and vmap")
+    sigmas = np.asarray(block.rays.sigmas)
+    weights, rounds = np.ones(len(sigmas)), 0
+    start = solve.quickly(block)
+    first = Huber() if function.redescending else function
+    for now in dict.fromkeys((first, function)):
+        for _ in range(MOST_ROUNDS):
+            rounds += 1
+            t = normed_lengths(start, sigmas, weights)
+            new = np.asarray(now.weights(on_device(t)))
+            settled = np.abs(new - weights).max(initial=0.0) < SETTLED
+            weights = new
+            start = solve.quickly(_weighted(start.block, sigmas, weights))
+            if settled:
+                break
+    last = solve.fully(_weighted(start.block, sigmas, weights))
+    reweighting = Reweighting(function.name, function.limit, rounds, on_device(weights))
+    restored = eqx.tree_at(lambda b: b.rays.sigmas, last.block, block.rays.sigmas)
+    return eqx.tree_at(
+        lambda a: (a.block, a.reweighting), last, (restored, reweighting), is_leaf=lambda leaf: leaf is None
+    )
+
+
+def _weighted(block: Block, sigmas: np.ndarray, weights: np.ndarray) -> Block:
+    """The block with sigmas for these weights."""
+    factor = np.sqrt(np.maximum(weights, LEAST_WEIGHT))[:, None]
+    return eqx.tree_at(lambda b: b.rays.sigmas, block, on_device(sigmas / factor))
+
+
+def normed_lengths(adjustment: Adjustment, sigmas: np.ndarray, weights: np.ndarray) -> Float[np.ndarray, " ray"]:
+    """t of every ray; the scale comes from the rays that have a weight."""
+    t = np.linalg.norm(np.asarray(adjustment.residuals[0]) / sigmas, axis=1)
+    redundancy = np.clip(adjustment.redundancy / adjustment.observations, 0.05, 1.0)
+    scale = np.median(t[weights > 0.01] if (weights > 0.01).any() else t) / MEDIAN_LENGTH / np.sqrt(redundancy)
+    return t / max(scale, np.finfo(float).tiny)
