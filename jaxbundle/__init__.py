@@ -22,6 +22,7 @@ if TYPE_CHECKING:
         Datum,
         ExteriorOrientation,
         InteriorOrientation,
+        Parameter,
         Rays,
         Structure,
     )
@@ -32,9 +33,11 @@ if TYPE_CHECKING:
     from jaxbundle.block.navigation import ATTITUDES, GNSS
     from jaxbundle.block.observations import (
         CONTROL,
+        PARAMETERS,
         STATIONS,
         ObservationGroup,
         ObservationKind,
+        interior_priors,
         observation_group,
     )
     from jaxbundle.block.problems import BlockError, Problem
@@ -47,6 +50,7 @@ if TYPE_CHECKING:
     from jaxbundle.report import report_dict, report_text, write_report
     from jaxbundle.solve.adjust import Progress, adjust
     from jaxbundle.solve.adjustment import Adjustment, Status
+    from jaxbundle.solve.robust import Cauchy, Danish, Huber, Tukey
     from jaxbundle.solve.stopping import AngleRule, PointRule, parallax_rule, unknown_rule
     from jaxbundle.textbook import crosscheck
 
@@ -58,73 +62,49 @@ _MODULES = {
         "Datum",
         "ExteriorOrientation",
         "InteriorOrientation",
+        "Parameter",
         "Rays",
         "Structure",
     ),
     "block.changes": ("with_interior_held",),
     "block.datum": ("with_datum",),
+    "block.datum_defect": ("DatumDefect", "datum_defect"),
     "block.geodetic": ("DISTANCES", "LINES", "PLANES", "geodetic_kind"),
     "block.navigation": ("ATTITUDES", "GNSS"),
-    "block.datum_defect": (
-        "DatumDefect",
-        "datum_defect",
-    ),
     "block.observations": (
         "CONTROL",
+        "PARAMETERS",
         "STATIONS",
         "ObservationGroup",
         "ObservationKind",
+        "interior_priors",
         "observation_group",
     ),
-    "block.problems": (
-        "BlockError",
-        "Problem",
-    ),
+    "block.problems": ("BlockError", "Problem"),
     "block.validate": ("validate",),
     "camera.collinearity": ("collinearity",),
-    "camera.model": (
-        "CAMERA_MODELS",
-        "CameraModel",
-    ),
-    "io": (
-        "read",
-        "read_bal",
-        "read_block_folder",
-        "write_bal",
-        "write_block_folder",
-    ),
+    "camera.model": ("CAMERA_MODELS", "CameraModel"),
+    "io": ("read", "read_bal", "read_block_folder", "write_bal", "write_block_folder"),
     "planning.flight": ("AerialCamera",),
-    "planning.simulate": (
-        "Simulation",
-        "simulate",
-    ),
-    "report": (
-        "report_dict",
-        "report_text",
-        "write_report",
-    ),
-    "solve.adjust": (
-        "Progress",
-        "adjust",
-    ),
-    "solve.adjustment": (
-        "Adjustment",
-        "Status",
-    ),
-    "solve.stopping": (
-        "AngleRule",
-        "PointRule",
-        "parallax_rule",
-        "unknown_rule",
-    ),
+    "planning.simulate": ("Simulation", "simulate"),
+    "report": ("report_dict", "report_text", "write_report"),
+    "solve.adjust": ("Progress", "adjust"),
+    "solve.adjustment": ("Adjustment", "Status"),
+    "solve.robust": ("Cauchy", "Danish", "Huber", "Tukey"),
+    "solve.stopping": ("AngleRule", "PointRule", "parallax_rule", "unknown_rule"),
     "textbook": ("crosscheck",),
 }
 _HOME = {name: module for module, names in _MODULES.items() for name in names}
 
 __all__ = [
+    "ATTITUDES",
     "CAMERA_MODELS",
     "CONTROL",
     "DISTANCES",
+    "GNSS",
+    "LINES",
+    "PARAMETERS",
+    "PLANES",
     "STATIONS",
     "Adjustment",
     "AerialCamera",
@@ -133,13 +113,17 @@ __all__ = [
     "BlockError",
     "Camera",
     "CameraModel",
+    "Cauchy",
     "CheckPoints",
+    "Danish",
     "Datum",
     "DatumDefect",
     "ExteriorOrientation",
+    "Huber",
     "InteriorOrientation",
     "ObservationGroup",
     "ObservationKind",
+    "Parameter",
     "PointRule",
     "Problem",
     "Progress",
@@ -147,10 +131,13 @@ __all__ = [
     "Simulation",
     "Status",
     "Structure",
+    "Tukey",
     "adjust",
     "collinearity",
     "crosscheck",
     "datum_defect",
+    "geodetic_kind",
+    "interior_priors",
     "observation_group",
     "parallax_rule",
     "read",
