@@ -4,7 +4,7 @@
     v = angles(R R_b) + a + a' t - angles_observed    R_b: from photograph to inertial unit, small angles b
 
 Shift s, a and drift s', a' belong to a strip or to the whole block, lever arm l and boresight b to a camera on its mount.
-All are parameters of the block: unknown, held, or with a prior of their own. t is time, or what grows with it.
+All are parameters of the block: unknown, held, or with a prior of their own. t is time, or what grows so.
 """
 
 from jaxbundle.block.geodetic import wrapped
