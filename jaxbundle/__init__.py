@@ -38,7 +38,10 @@ if TYPE_CHECKING:
     from jaxbundle.block.problems import BlockError, Problem
     from jaxbundle.block.validate import validate
     from jaxbundle.camera.collinearity import collinearity
-    from jaxbundle.camera.model import CAMERA_MODELS, CameraModel
+    from jaxbundle.camera.corrections import curvature_coefficient, refraction_coefficient, with_corrections
+    from jaxbundle.camera.fiducials import FiducialError, InnerOrientation, inner_orientation
+    from jaxbundle.camera.model import CameraModel
+    from jaxbundle.camera.registry import CAMERA_MODELS
     from jaxbundle.io import read, read_bal, read_block_folder, write_bal, write_block_folder
     from jaxbundle.planning.flight import AerialCamera
     from jaxbundle.planning.simulate import Simulation, simulate
@@ -79,10 +82,18 @@ _MODULES = {
     ),
     "block.validate": ("validate",),
     "camera.collinearity": ("collinearity",),
-    "camera.model": (
-        "CAMERA_MODELS",
-        "CameraModel",
+    "camera.corrections": (
+        "curvature_coefficient",
+        "refraction_coefficient",
+        "with_corrections",
     ),
+    "camera.fiducials": (
+        "FiducialError",
+        "InnerOrientation",
+        "inner_orientation",
+    ),
+    "camera.model": ("CameraModel",),
+    "camera.registry": ("CAMERA_MODELS",),
     "io": (
         "read",
         "read_bal",
@@ -134,6 +145,8 @@ __all__ = [
     "Datum",
     "DatumDefect",
     "ExteriorOrientation",
+    "FiducialError",
+    "InnerOrientation",
     "InteriorOrientation",
     "ObservationGroup",
     "ObservationKind",
@@ -147,17 +160,21 @@ __all__ = [
     "adjust",
     "collinearity",
     "crosscheck",
+    "curvature_coefficient",
     "datum_defect",
+    "inner_orientation",
     "observation_group",
     "parallax_rule",
     "read",
     "read_bal",
     "read_block_folder",
+    "refraction_coefficient",
     "report_dict",
     "report_text",
     "simulate",
     "unknown_rule",
     "validate",
+    "with_corrections",
     "with_datum",
     "with_interior_held",
     "write_bal",
