@@ -43,7 +43,10 @@ if TYPE_CHECKING:
     from jaxbundle.block.problems import BlockError, Problem
     from jaxbundle.block.validate import validate
     from jaxbundle.camera.collinearity import collinearity
-    from jaxbundle.camera.model import CAMERA_MODELS, CameraModel
+    from jaxbundle.camera.corrections import curvature_coefficient, refraction_coefficient, with_corrections
+    from jaxbundle.camera.fiducials import FiducialError, InnerOrientation, inner_orientation
+    from jaxbundle.camera.model import CameraModel
+    from jaxbundle.camera.registry import CAMERA_MODELS
     from jaxbundle.io import read, read_bal, read_block_folder, write_bal, write_block_folder
     from jaxbundle.planning.flight import AerialCamera
     from jaxbundle.planning.simulate import Simulation, simulate
@@ -83,7 +86,10 @@ _MODULES = {
     "block.problems": ("BlockError", "Problem"),
     "block.validate": ("validate",),
     "camera.collinearity": ("collinearity",),
-    "camera.model": ("CAMERA_MODELS", "CameraModel"),
+    "camera.corrections": ("curvature_coefficient", "refraction_coefficient", "with_corrections"),
+    "camera.fiducials": ("FiducialError", "InnerOrientation", "inner_orientation"),
+    "camera.model": ("CameraModel",),
+    "camera.registry": ("CAMERA_MODELS",),
     "io": ("read", "read_bal", "read_block_folder", "write_bal", "write_block_folder"),
     "planning.flight": ("AerialCamera",),
     "planning.simulate": ("Simulation", "simulate"),
@@ -119,7 +125,9 @@ __all__ = [
     "Datum",
     "DatumDefect",
     "ExteriorOrientation",
+    "FiducialError",
     "Huber",
+    "InnerOrientation",
     "InteriorOrientation",
     "ObservationGroup",
     "ObservationKind",
@@ -135,19 +143,23 @@ __all__ = [
     "adjust",
     "collinearity",
     "crosscheck",
+    "curvature_coefficient",
     "datum_defect",
     "geodetic_kind",
+    "inner_orientation",
     "interior_priors",
     "observation_group",
     "parallax_rule",
     "read",
     "read_bal",
     "read_block_folder",
+    "refraction_coefficient",
     "report_dict",
     "report_text",
     "simulate",
     "unknown_rule",
     "validate",
+    "with_corrections",
     "with_datum",
     "with_interior_held",
     "write_bal",

@@ -217,7 +217,7 @@ CASES: dict[str, tuple[Edit, str]] = {
     "unknown key": (
         toml(15, "width", "widht"),
         "block.toml:15: [cameras.wide] widht is unknown; known here: image_unit, pixel_size, width, height, "
-        "principal_distance, principal_point, distortion, coefficients, estimate, fiducials",
+        "principal_distance, principal_point, distortion, coefficients, estimate, corrections, fiducials",
     ),
     "unknown section": (
         added("block.toml", "[adjustment]\nsteps = 3"),
@@ -244,7 +244,8 @@ CASES: dict[str, tuple[Edit, str]] = {
     ),
     "unknown distortion": (
         toml(19, "none", "fisheye"),
-        "block.toml:19: [cameras.wide] distortion 'fisheye' is unknown; known: none, brown, bal",
+        "block.toml:19: [cameras.wide] distortion 'fisheye' is unknown; "
+        "known: none, brown, brown-affine-last, brown-scale-first, brown-forward, aicon, metashape, bal, ebner, gruen",
     ),
     "unknown coefficient": (
         toml(19, '"none"', '"brown"\ncoefficients = { K1 = 0.1, K9 = 0.2 }'),
@@ -258,8 +259,8 @@ CASES: dict[str, tuple[Edit, str]] = {
     ),
     "fiducials": (
         toml(20, "[]", '[]\nfiducials = "affine"'),
-        "block.toml:21: [cameras.wide] fiducials are not available; "
-        'transform the rays to mm and give image_unit = "mm"',
+        "block.toml:21: [cameras.wide] fiducials need the table fiducials and the table fiducial_rays; "
+        "name it in [tables], or drop fiducials",
     ),
     "no camera": (
         without_cameras,

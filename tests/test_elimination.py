@@ -13,7 +13,7 @@ from jaxbundle.block.block import Block
 from jaxbundle.block.geodetic import DISTANCES
 from jaxbundle.block.observations import observation_group
 from jaxbundle.block.unknowns import Unknowns, unknowns_of
-from jaxbundle.camera.model import BROWN, DISTORTION_FREE
+from jaxbundle.camera.brown import BROWN, DISTORTION_FREE
 from jaxbundle.normals.arrange import arrange, arranged_unknowns, problem, restored_unknowns
 from jaxbundle.normals.reduced_plan import Method
 from jaxbundle.solve.adjust import adjust

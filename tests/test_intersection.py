@@ -11,7 +11,9 @@ from jaxbundle.approximate.intersection import intersect
 from jaxbundle.block.block import Block
 from jaxbundle.block.residuals import observations_of, ray_residuals
 from jaxbundle.block.unknowns import unknowns_of
-from jaxbundle.camera.model import BAL, BROWN, DISTORTION_FREE, CameraModel
+from jaxbundle.camera.brown import BROWN, DISTORTION_FREE
+from jaxbundle.camera.forward import BAL
+from jaxbundle.camera.model import CameraModel
 from jaxbundle.io import read_block_folder
 
 INTERIORS = {

@@ -15,6 +15,7 @@ import numpy as np
 from jaxtyping import Array, Bool, Float, Int
 
 from jaxbundle.block.observations import ObservationGroup
+from jaxbundle.camera.fiducials import InnerOrientation
 from jaxbundle.camera.model import CameraModel, mixture
 from jaxbundle.geometry.rotation import OMEGA_PHI_KAPPA, RotationSystem
 from jaxbundle.numerics.host import array_module, is_concrete, on_device, on_host
@@ -100,6 +101,7 @@ class Structure:
     parameters: tuple[Parameter, ...] = ()
     source: str = ""
     notes: tuple[str, ...] = field(default=())  # what reading the block left out, in words
+    inner_orientations: tuple[InnerOrientation, ...] = ()  # fits that brought the rays of scanned film from px to mm
 
     @property
     def exterior_elements(self) -> tuple[str, ...]:

@@ -3,7 +3,7 @@
     v = X0 + R l + s + s' t - X_observed              l: from projection centre to antenna, system of the photograph
     v = angles(R R_b) + a + a' t - angles_observed    R_b: from photograph to inertial unit, small angles b
 
-Shift s, a and drift s', a' belong to a strip or to the whole block, lever arm l and boresight b to a camera on its mount.
+Shift s, a and drift s', a' belong to a strip or to the whole block, lever arm l and boresight b to a mounted camera.
 All are parameters of the block: unknown, held, or with a prior of their own. t is time, or what grows so.
 """
 

@@ -19,7 +19,7 @@ from jaxtyping import Array, Float
 
 from jaxbundle.block.block import Block, Camera, CheckPoints, ExteriorOrientation, InteriorOrientation, Rays, Structure
 from jaxbundle.block.problems import BlockError, Problem
-from jaxbundle.camera.model import BAL
+from jaxbundle.camera.forward import BAL
 from jaxbundle.geometry import rotation
 from jaxbundle.geometry.rotation import OMEGA_PHI_KAPPA
 from jaxbundle.numerics.host import on_device

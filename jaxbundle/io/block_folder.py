@@ -33,6 +33,7 @@ from jaxbundle.block.problems import BlockError, Problem
 from jaxbundle.block.validate import validate, weaknesses
 from jaxbundle.geometry.rotation import ROTATION_SYSTEMS
 from jaxbundle.io.block_toml import FILE, BlockToml, read_block_toml
+from jaxbundle.io.fiducial_tables import with_inner_orientations
 from jaxbundle.io.findings import Finding, Findings
 from jaxbundle.io.folder_tables import USUAL_FILES, FolderTables, ImageRows, KnownRows, RayRows, read_folder_tables
 from jaxbundle.io.settings import CameraSection, Settings
@@ -51,6 +52,8 @@ def read_block_folder(path: str | Path) -> Block:
         raise BlockError([Problem(f"{folder} is no folder", f"give the path of a folder with {FILE}")])
     toml = read_block_toml(folder / FILE, findings)
     tables = read_folder_tables(folder, toml, findings)
+    if tables is not None:
+        tables = with_inner_orientations(tables, toml, findings)
     if toml.settings is None or tables is None:
         raise findings.error()
     block = _block(folder, toml, toml.settings, tables, findings)
@@ -91,6 +94,7 @@ def _block(folder: Path, toml: BlockToml, settings: Settings, tables: FolderTabl
         angle_unit=settings.units.angle,
         source=settings.source,
         notes=_notes(folder, toml, settings, tables),
+        inner_orientations=tables.inner_orientations,
     )
     return Block(
         structure,
@@ -104,8 +108,9 @@ def _block(folder: Path, toml: BlockToml, settings: Settings, tables: FolderTabl
 
 
 def _camera(name: str, section: CameraSection) -> Camera:
-    metric = section.pixel_size is not None
-    return Camera(name, section.model, section.image_unit, section.width, section.height, metric)
+    unit = "mm" if section.in_mm else "px"
+    metric = section.pixel_size is not None and not section.in_mm
+    return Camera(name, section.model, unit, section.width, section.height, metric)
 
 
 def _interior(
@@ -120,9 +125,10 @@ def _interior(
             "principal_distance": section.principal_distance,
             "x0": x0,
             "y0": y0,
-            "pixel_size": section.pixel_size or 1.0,
-            "y_axis": -1.0 if section.image_unit == "px" else 1.0,
+            "pixel_size": 1.0 if section.in_mm else section.pixel_size or 1.0,
+            "y_axis": 1.0 if section.in_mm else -1.0,
             **section.coefficients,
+            **(section.corrections.coefficients if section.corrections else {}),
         }
         for k, name in enumerate(section.model.elements):
             elements[row, k] = given.get(name, 0.0)

@@ -10,7 +10,8 @@ from jaxbundle.block.block import CENTRE_ELEMENTS, Block, Camera, Structure
 from jaxbundle.block.geodetic import DISTANCES
 from jaxbundle.block.observations import CONTROL, STATIONS
 from jaxbundle.block.problems import BlockError, Problem
-from jaxbundle.camera.model import CAMERA_MODELS
+from jaxbundle.camera.model import CORRECTIONS
+from jaxbundle.camera.registry import CAMERA_MODELS, named_model
 from jaxbundle.io.block_folder import RADIANS
 from jaxbundle.io.block_toml import FILE, write_block_toml
 from jaxbundle.io.folder_tables import COORDINATES, SIGMAS
@@ -20,6 +21,8 @@ from jaxbundle.io.tables import Columns, write_table
 
 def write_block_folder(block: Block, path: str | Path) -> None:
     """Writes block.toml and the tables; the folder is made where it does not exist.
+
+    Rays that fiducials brought to mm are written in mm; corrections are written as their coefficients.
 
     Raises: BlockError where the block has a camera model or a kind of observation that has no place in format 1.
     """
@@ -50,7 +53,7 @@ def _require_writable(block: Block) -> None:
     problems += [
         Problem(f"camera {camera.name} has the model '{camera.model.name}'", f"known: {', '.join(CAMERA_MODELS)}")
         for camera in block.structure.cameras
-        if CAMERA_MODELS.get(camera.model.name) is not camera.model
+        if named_model(camera.model) is None
     ]
     if problems:
         raise BlockError(problems)
@@ -81,6 +84,7 @@ def _settings(block: Block, tables: dict[str, str]) -> Settings:
 
 def _camera(camera: Camera, interior: Float[np.ndarray, " element"], free: np.ndarray) -> dict[str, Any]:
     elements = dict(zip(camera.model.elements, interior.tolist(), strict=False))
+    model = named_model(camera.model) or camera.model
     section: dict[str, Any] = {
         "image_unit": camera.image_unit,
         "pixel_size": elements["pixel_size"] if camera.metric else None,
@@ -88,11 +92,12 @@ def _camera(camera: Camera, interior: Float[np.ndarray, " element"], free: np.nd
         "height": camera.height,
         "principal_distance": elements["principal_distance"],
         "principal_point": [elements["x0"], elements["y0"]] if "x0" in elements else None,
-        "distortion": camera.model.name,
+        "distortion": model.name,
         "estimate": [name for name, unknown in zip(camera.model.elements, free, strict=False) if unknown],
     }
-    coefficients = {name: elements[name] for name in coefficient_names(camera.model)}
-    return {**section, "coefficients": coefficients}
+    coefficients = {name: elements[name] for name in coefficient_names(model)}
+    corrections = {name: elements[name] for name in CORRECTIONS if name in elements}
+    return {**section, "coefficients": coefficients, "corrections": corrections or None}
 
 
 def _held(structure: Structure) -> dict[str, list[str]]:

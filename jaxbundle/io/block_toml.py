@@ -90,7 +90,7 @@ def _in_words(error: ErrorDetails, loc: tuple[str, ...]) -> tuple[str, str]:
         case "missing":
             return f"{where} is missing", "give it"
         case "extra_forbidden":
-            known = (SECTIONS[loc[0]] if len(loc) > 1 else Settings).model_fields
+            known = (SECTIONS[loc[2] if len(loc) > 3 else loc[0]] if len(loc) > 1 else Settings).model_fields
             return f"{where} is unknown", f"known here: {', '.join(known)}"
         case "literal_error":
             return f"{where} is {json.dumps(error['input'])}", f"give {error.get('ctx', {})['expected']}"
@@ -151,6 +151,8 @@ def _value(value: object) -> str:
     """A value of TOML; numbers in the shortest form that reads back the same."""
     if isinstance(value, dict) and value:
         return "{ " + ", ".join(f"{_key(key)} = {_value(inner)}" for key, inner in value.items()) + " }"
+    if isinstance(value, bool):
+        return str(value).lower()
     if isinstance(value, list):
         return "[" + ", ".join(_value(inner) for inner in value) + "]"
     if isinstance(value, str):

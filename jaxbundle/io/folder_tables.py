@@ -12,6 +12,7 @@ import numpy as np
 from jaxtyping import Bool, Float, Int
 
 from jaxbundle.block.block import CENTRE_ELEMENTS
+from jaxbundle.camera.fiducials import InnerOrientation
 from jaxbundle.io.block_toml import BlockToml
 from jaxbundle.io.findings import Findings
 from jaxbundle.io.tables import Table, positions_of, read_table
@@ -19,6 +20,7 @@ from jaxbundle.io.tables import Table, positions_of, read_table
 COORDINATES = ("X", "Y", "Z")
 SIGMAS = ("sX", "sY", "sZ")
 ROLES = ("control", "check")
+FIDUCIAL_TABLES = ("fiducials", "fiducial_rays")
 USUAL_FILES = ("points.csv", "control.csv", "stations.csv", "distances.csv", "fiducials.csv", "fiducial_rays.csv")
 
 
@@ -96,12 +98,18 @@ class DistanceRows:
 
 @dataclass(frozen=True)
 class FolderTables:
-    """All tables; `known` are points, control and stations as far as they are given."""
+    """All tables; `known` are points, control and stations as far as they are given.
+
+    Tables of fiducials are as they were read; `inner_orientations` are their fits, once there are any.
+    """
 
     images: ImageRows
     rays: RayRows
     known: dict[str, KnownRows]
     distances: DistanceRows | None
+    fiducials: Table | None = None
+    fiducial_rays: Table | None = None
+    inner_orientations: tuple[InnerOrientation, ...] = ()
 
 
 def read_folder_tables(folder: Path, toml: BlockToml, findings: Findings) -> FolderTables | None:
@@ -113,6 +121,8 @@ def read_folder_tables(folder: Path, toml: BlockToml, findings: Findings) -> Fol
         "control": ("point {point}", ("point", *COORDINATES, *SIGMAS, "role"), ()),
         "stations": ("image {image}", ("image", *COORDINATES, *SIGMAS), ()),
         "distances": ("distance {from} - {to}", ("from", "to", "distance", "sigma"), ()),
+        "fiducials": ("fiducial {fiducial} of camera {camera}", ("camera", "fiducial", "x", "y"), ()),
+        "fiducial_rays": ("fiducial {fiducial} on image {image}", ("image", "fiducial", "x", "y"), ()),
     }
     files = toml.tables
     read = {
@@ -128,7 +138,10 @@ def read_folder_tables(folder: Path, toml: BlockToml, findings: Findings) -> Fol
     names = {"points": rays.points, "control": rays.points, "stations": images.names}
     known = {kind: _known(kind, tables[kind], names[kind], images.table.file) for kind in names if kind in tables}
     distances = _distances(tables["distances"], rays) if "distances" in tables else None
-    return FolderTables(images, rays.usable(), known, distances) if len(tables) == len(read) else None
+    if len(tables) < len(read):
+        return None
+    fiducials, fiducial_rays = (tables.get(kind) for kind in FIDUCIAL_TABLES)
+    return FolderTables(images, rays.usable(), known, distances, fiducials, fiducial_rays)
 
 
 def _images(table: Table, toml: BlockToml) -> ImageRows:

@@ -5,10 +5,15 @@ from typing import Annotated, Any, Literal, TypeVar
 from pydantic import BaseModel, ConfigDict, Field, field_validator
 from pydantic_core import PydanticCustomError
 
-from jaxbundle.camera.model import CAMERA_MODELS, CameraModel
+from jaxbundle.camera.additional_parameters import GRID_SHARE
+from jaxbundle.camera.corrections import curvature_coefficient, refraction_coefficient, with_corrections
+from jaxbundle.camera.fiducials import PARAMETERS
+from jaxbundle.camera.model import CameraModel
+from jaxbundle.camera.registry import CAMERA_MODELS
 from jaxbundle.geometry.rotation import ROTATION_SYSTEMS
 
 WITH_KEYS = ("principal_distance", "x0", "y0", "pixel_size", "y_axis")  # interior elements that are no coefficients
+LARGEST = {"refraction": 1e-3, "earth_curvature": 0.01}  # several times what any flight has: more is another unit
 
 Positive = Annotated[float, Field(gt=0)]
 Pixels = Annotated[int, Field(gt=0)]
@@ -51,8 +56,49 @@ class RotationSection(Section):
         return system
 
 
+class Corrections(Section):
+    """Refraction and earth curvature of a camera: `true`, from heights in m above sea level, or the coefficient itself.
+
+    The coefficients are K in rad and H / 2R (camera/corrections.py).
+    """
+
+    flying_height: float | None = None
+    ground_height: float | None = None
+    refraction: Any = False
+    earth_curvature: Annotated[Any, Field(validate_default=True)] = False
+
+    @property
+    def coefficients(self) -> dict[str, float]:
+        """The two coefficients; 0 where there is no correction."""
+        heights = self.flying_height or 0.0, self.ground_height or 0.0
+        functions = {"refraction": refraction_coefficient, "earth_curvature": curvature_coefficient}
+        given = {name: getattr(self, name) for name in functions}
+        return {name: functions[name](*heights) if value is True else float(value) for name, value in given.items()}
+
+    @field_validator("refraction", "earth_curvature")
+    @classmethod
+    def _sensible(cls, value: Any, info: Any) -> bool | float:
+        name, given = info.field_name, info.data
+        if not isinstance(value, bool | int | float) or not 0 <= value <= (value is True or LARGEST[name]):
+            raise _problem(f"{name} is {value!r}", f"give true, false or a coefficient from 0 to {LARGEST[name]}")
+        if value is True and {"flying_height", "ground_height"} <= given.keys():
+            if given["flying_height"] is None or given["ground_height"] is None:
+                cure = "give flying_height and ground_height in m above sea level"
+                raise _problem(f"{name} = true needs the heights of the flight and of the ground", cure)
+            try:
+                refraction_coefficient(given["flying_height"], given["ground_height"])
+            except ValueError as error:
+                raise _problem(f"{name}: {error}", "give both heights in m above sea level") from None
+        if name == "earth_curvature" and value is False and given.get("refraction") is False:
+            raise _problem("corrections are neither refraction nor earth_curvature", "say which = true, or drop them")
+        return value
+
+
 class CameraSection(Section):
-    """A camera; principal point in the unit of the rays, principal distance in mm or, without pixel size, in px."""
+    """A camera; principal point in the unit of the rays, principal distance in mm or, without pixel size, in px.
+
+    With fiducials both are in mm, in their system, and `pixel_size` is that of the scan.
+    """
 
     image_unit: Literal["px", "mm"]
     pixel_size: Positive | None = None
@@ -61,14 +107,21 @@ class CameraSection(Section):
     principal_distance: Positive
     principal_point: Pair | None = None
     distortion: Annotated[str, Field(validate_default=True)] = "none"
-    coefficients: dict[str, float] = {}
+    coefficients: Annotated[dict[str, float], Field(validate_default=True)] = {}
     estimate: list[str] = []
-    fiducials: Any = None
+    corrections: Corrections | None = None
+    fiducials: str | None = None
 
     @property
     def model(self) -> CameraModel:
-        """The camera model of this distortion."""
-        return CAMERA_MODELS[self.distortion]
+        """The camera model of this distortion and these corrections."""
+        model = CAMERA_MODELS[self.distortion]
+        return with_corrections(model) if self.corrections else model
+
+    @property
+    def in_mm(self) -> bool:
+        """Whether the block has the rays in mm, x right, y up."""
+        return self.image_unit == "mm" or self.fiducials is not None
 
     @field_validator("pixel_size")
     @classmethod
@@ -94,7 +147,10 @@ class CameraSection(Section):
     @classmethod
     def _known_coefficients(cls, values: dict[str, float], info: Any) -> dict[str, float]:
         model = CAMERA_MODELS.get(info.data.get("distortion", ""))
-        return _all_known(values, coefficient_names(model), model.name, "coefficient") if model else values
+        if model is None:
+            return values
+        _all_known(values, coefficient_names(model), model.name, "coefficient")
+        return _with_grid_base(values, info.data) if "grid_base" in model.elements else values
 
     @field_validator("estimate")
     @classmethod
@@ -104,8 +160,32 @@ class CameraSection(Section):
 
     @field_validator("fiducials")
     @classmethod
-    def _not_available(cls, _: object) -> None:
-        raise _problem("fiducials are not available", 'transform the rays to mm and give image_unit = "mm"')
+    def _known_transformation(cls, name: str | None, info: Any) -> str | None:
+        given, model = info.data, CAMERA_MODELS.get(info.data.get("distortion", ""))
+        if name is None:
+            return name
+        if name not in PARAMETERS:
+            raise _problem(f"fiducials '{name}' are unknown", f"known: {', '.join(PARAMETERS)}")
+        if given.get("image_unit") == "mm":
+            raise _problem("rays in mm need no fiducials", 'drop them, or give the rays in px and image_unit = "px"')
+        if model and "pixel_size" not in model.elements:
+            raise _problem(f"distortion '{model.name}' is for rays in px, which fiducials bring to mm", "use another")
+        if given.get("pixel_size", ...) is None:
+            raise _problem("fiducials need pixel_size", "give the nominal pixel of the scan in mm")
+        return name
+
+
+def _with_grid_base(values: dict[str, float], given: dict[str, Any]) -> dict[str, float]:
+    """The coefficients with a grid_base, from the image format where it is known in the unit of the coefficients."""
+    if values.get("grid_base", 1.0) <= 0:
+        raise _problem(f"grid_base is {values['grid_base']}", "give a positive one")
+    if "grid_base" in values or not {"image_unit", "pixel_size", "width", "height"} <= given.keys():
+        return values
+    sides = given["width"], given["height"]
+    if None in sides or given["image_unit"] == "mm":
+        what = f"distortion '{given['distortion']}' needs grid_base"
+        raise _problem(what, f"give it with the coefficients: {GRID_SHARE} of the longer side of the image is usual")
+    return {**values, "grid_base": GRID_SHARE * max(sides) * (given["pixel_size"] or 1.0)}
 
 
 def _all_known(names: Names, known: tuple[str, ...], distortion: str, kind: str) -> Names:
@@ -148,13 +228,8 @@ class TableNames(Section):
     control: str | None = None
     stations: str | None = None
     distances: str | None = None
-    fiducials: Any = None
-    fiducial_rays: Any = None
-
-    @field_validator("fiducials", "fiducial_rays")
-    @classmethod
-    def _not_available(cls, _: object) -> None:
-        raise _problem("fiducials are not available", "transform the rays to mm and drop the table")
+    fiducials: str | None = None
+    fiducial_rays: str | None = None
 
 
 class Settings(Section):
@@ -175,6 +250,7 @@ SECTIONS: dict[str, type[Section]] = {
     "units": Units,
     "rotation": RotationSection,
     "cameras": CameraSection,
+    "corrections": Corrections,
     "sigma": Sigma,
     "datum": DatumSection,
     "tables": TableNames,

@@ -12,7 +12,10 @@ from typing import NamedTuple
 import numpy as np
 from jaxtyping import Float, Int
 
-from jaxbundle.camera.model import BROWN, DISTORTION_FREE, CameraModel
+from jaxbundle.camera.additional_parameters import GRID_SHARE
+from jaxbundle.camera.brown import BROWN, DISTORTION_FREE
+from jaxbundle.camera.model import CameraModel
+from jaxbundle.camera.registry import CAMERA_MODELS
 
 SHAKE = 0.35  # of the grid's spacing, either way
 ROW_REACH = 0.35  # of an image's height: the rows of control end so far outside the axes of the outer strips
@@ -23,9 +26,9 @@ SCATTER = 0.01  # of the flying height: stations off their places
 class AerialCamera:
     """A camera and its true interior. Lengths in mm; a camera with a pixel size is measured in px.
 
-    `offset`: principal point from the centre of the format, x right, y up. With `coefficients` it is a "brown" camera.
-    Elements in `estimate` are unknown and start from the centre of the format, from coefficients 0 and from a principal
-    distance 0.2 % too long.
+    `offset`: principal point from the centre of the format, x right, y up. `distortion` names the camera model; unless
+    given, it is "brown" with `coefficients`, else "none". Elements in `estimate` are unknown and start from the centre
+    of the format, from coefficients 0 and from a principal distance 0.2 % too long.
     """
 
     principal_distance: float = 153.0
@@ -35,11 +38,20 @@ class AerialCamera:
     offset: tuple[float, float] = (0.0, 0.0)
     coefficients: Mapping[str, float] = field(default_factory=dict)
     estimate: tuple[str, ...] = ()
+    distortion: str | None = None
 
     @property
     def model(self) -> CameraModel:
-        """ "brown" with coefficients, else "none"."""
-        return BROWN if self.coefficients or set(self.estimate) - set(DISTORTION_FREE.elements) else DISTORTION_FREE
+        """The camera model.
+
+        Raises: ValueError for one that is unknown.
+        """
+        if self.distortion is None:
+            plain = set(self.coefficients) | set(self.estimate) <= set(DISTORTION_FREE.elements)
+            return DISTORTION_FREE if plain else BROWN
+        if self.distortion not in CAMERA_MODELS:
+            raise ValueError(f"no camera model '{self.distortion}'; there are {', '.join(CAMERA_MODELS)}")
+        return CAMERA_MODELS[self.distortion]
 
     @property
     def centre(self) -> tuple[float, float]:
@@ -51,7 +63,8 @@ class AerialCamera:
         """True interior elements in the order of the model."""
         s, y_axis = (self.pixel_size, -1.0) if self.pixel_size else (1.0, 1.0)
         (x, y), (dx, dy) = self.centre, self.offset
-        given = {"x0": x + dx / s, "y0": y + y_axis * dy / s, "pixel_size": s, "y_axis": y_axis, **self.coefficients}
+        given = {"x0": x + dx / s, "y0": y + y_axis * dy / s, "pixel_size": s, "y_axis": y_axis}
+        given |= {"grid_base": GRID_SHARE * max(self.width, self.height), **self.coefficients}
         given["principal_distance"] = self.principal_distance
         return {element: given.get(element, 0.0) for element in self.model.elements}
 
@@ -86,9 +99,11 @@ def flight_of(strips: int, images: int, camera: AerialCamera, height: float, ove
         raise ValueError(f"{strips} strips of {images} images; a block needs 1 strip of 2 images at least")
     if not all(0 <= overlap < 1 for overlap in overlaps) or overlaps[0] < 0.5:
         raise ValueError(f"overlaps {overlaps}; forward overlap is from 0.5 to below 1, side overlap from 0 to below 1")
-    unknown = [name for name in (*camera.coefficients, *camera.estimate) if name not in BROWN.estimable]
+    model = camera.model
+    unknown = [name for name in camera.coefficients if name not in model.elements]
+    unknown += [name for name in camera.estimate if name not in model.estimable]
     if unknown:
-        raise ValueError(f"no interior element {', '.join(unknown)}; there are {', '.join(BROWN.estimable)}")
+        raise ValueError(f"no interior element {', '.join(unknown)}; there are {', '.join(model.estimable)}")
     scale = height / camera.principal_distance
     along, across = scale * camera.width, scale * camera.height
     return Flight(strips, images, (1 - overlaps[0]) * along, (1 - overlaps[1]) * across, (along, across), height)

@@ -15,6 +15,7 @@ from typing import Any
 import numpy as np
 
 from jaxbundle.block.block import Block
+from jaxbundle.camera.fiducials import PARAMETERS, InnerOrientation
 from jaxbundle.io.tables import Columns, write_table
 from jaxbundle.report.figures import Figures, figures_of, member_names
 from jaxbundle.report.tables import dict_of
@@ -44,7 +45,8 @@ def result_files(block: Block) -> list[str]:
     """Names of the files that a report of this block consists of, report.txt last."""
     check = ["check_points.csv"] if len(block.structure.check_point) else []
     groups = [f"{group.structure.kind.name}.csv" for group in block.groups]
-    return ["images.csv", "cameras.csv", "points.csv", "rays.csv", *groups, *check, DATA, TEXT]
+    fiducials = ["inner_orientation.csv", "fiducials.csv"] if block.structure.inner_orientations else []
+    return ["images.csv", "cameras.csv", "points.csv", "rays.csv", *groups, *check, *fiducials, DATA, TEXT]
 
 
 def require_place(folder: str | Path, block: Block) -> None:
@@ -119,6 +121,9 @@ def _tables(figures: Figures) -> dict[str, Columns]:
         tables[f"{group.structure.kind.name}.csv"] = _group(figures, k)
     if len(figures.structure.check_point):
         tables["check_points.csv"] = _check_points(figures)
+    if figures.structure.inner_orientations:
+        tables["inner_orientation.csv"] = _inner_orientations(figures.structure.inner_orientations)
+        tables["fiducials.csv"] = _fiducials(figures.structure.inner_orientations)
     return tables
 
 
@@ -185,6 +190,30 @@ def _group(figures: Figures, k: int) -> Columns:
         **_columns(structure.kind.components, values),
         **_columns(structure.kind.components, sigmas, "s"),
         **_columns(structure.kind.components, residuals, "v"),
+    }
+
+
+def _inner_orientations(fits: tuple[InnerOrientation, ...]) -> Columns:
+    """One row an image; parameters that its transformation does not have are empty."""
+    worst = [fit.residuals[fit.worst] for fit in fits]
+    return {
+        "image": [fit.image for fit in fits],
+        "transformation": [fit.transformation for fit in fits],
+        "fiducials": np.array([len(fit.fiducials) for fit in fits]),
+        "redundancy": np.array([fit.redundancy for fit in fits]),
+        "sigma0": np.array([fit.sigma0 for fit in fits]),
+        "worst": [fit.fiducials[fit.worst] for fit in fits],
+        **_columns(("vx", "vy"), np.array(worst)),
+        **{name: np.array([fit.parameters.get(name, np.nan) for fit in fits]) for name in PARAMETERS["projective"]},
+    }
+
+
+def _fiducials(fits: tuple[InnerOrientation, ...]) -> Columns:
+    """Residuals of the fiducials on every image, mm."""
+    return {
+        "image": [fit.image for fit in fits for _ in fit.fiducials],
+        "fiducial": [name for fit in fits for name in fit.fiducials],
+        **_columns(("vx", "vy"), np.concatenate([fit.residuals for fit in fits])),
     }
 
 

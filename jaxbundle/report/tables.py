@@ -50,6 +50,7 @@ def dict_of(figures: Figures) -> dict[str, Any]:
         ),
         "cameras": _cameras(figures),
         "check_points": _check_points(figures, [structure.point_names[p] for p in check]),
+        **_inner_orientations(figures),
         "correlations": _correlations(figures),
     }
 
@@ -94,6 +95,21 @@ def _check_points(figures: Figures, names: list[str]) -> dict[str, dict[str, Any
         name: {**entry, **dict(zip(("dX", "dY", "dZ"), row, strict=True))}
         for (name, entry), row in zip(entries.items(), differences, strict=True)
     }
+
+
+def _inner_orientations(figures: Figures) -> dict[str, dict[str, dict[str, Any]]]:
+    """Fits of scanned images to their fiducials, where there are any; mm."""
+    fits = {
+        fit.image: {
+            "transformation": fit.transformation,
+            **fit.parameters,
+            "redundancy": fit.redundancy,
+            "sigma0": _number(fit.sigma0),
+            "fiducials": dict(zip(fit.fiducials, fit.residuals.tolist(), strict=True)),
+        }
+        for fit in figures.structure.inner_orientations
+    }
+    return {"inner_orientations": fits} if fits else {}
 
 
 def _correlations(figures: Figures) -> dict[str, dict[str, float | None]]:

@@ -26,6 +26,7 @@ def text_of(figures: Figures) -> str:
         ("Adjustment", _adjustment(figures)),
         ("Observations", _observations(figures)),
         ("Images: adjusted value and standard deviation below", _images(figures)),
+        ("Inner orientation: fits to the fiducials, mm", _inner_orientations(figures)),
         ("Cameras: estimated elements", _cameras(figures)),
         ("Object points", _points(figures)),
         *_control(figures),
@@ -119,6 +120,20 @@ def _images(figures: Figures) -> list[str]:
     count = len(structure.image_names)
     lines = aligned([header, *rows])
     return lines if count <= IMAGES else [*lines, f"  ... the first {IMAGES} of {count} images; the tables hold all"]
+
+
+def _inner_orientations(figures: Figures) -> list[str]:
+    """A line an image: sigma0 of its fit and its worst fiducial."""
+    fits = figures.structure.inner_orientations
+    rows = []
+    for fit in fits[:IMAGES]:
+        (vx, vy), sigma0 = fit.residuals[fit.worst], fixed(fit.sigma0, 5)
+        worst = short(fit.fiducials[fit.worst]), fixed(vx, 5), fixed(vy, 5)
+        rows.append(
+            (short(fit.image), fit.transformation, *map(str, (len(fit.fiducials), fit.redundancy)), sigma0, *worst)
+        )
+    header = ("image", "transformation", "fiducials", "redundancy", "sigma0", "worst", "vx", "vy")
+    return table(header, rows, len(fits), "images", left=2) if fits else []
 
 
 def _cameras(figures: Figures) -> list[str]:

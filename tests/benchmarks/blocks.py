@@ -9,6 +9,7 @@ from jaxbundle.geometry.rotation import from_rotation_vector
 FOCAL, HALF, HEIGHT = 1000.0, 1000.0, 1000.0  # px, px, m: ground sample of 1 m
 SIZES: dict[str, tuple[int, int, int, float, float]] = {
     "48": (4, 12, 150, 0.6, 0.3),
+    "110": (5, 22, 200, 0.8, 0.6),
     "320": (8, 40, 200, 0.8, 0.6),
     "1200": (20, 60, 200, 0.8, 0.6),
 }

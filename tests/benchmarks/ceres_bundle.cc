@@ -1,5 +1,5 @@
 // A BAL file minimised by Ceres: ceres_bundle FILE SOLVER THREADS ITERATIONS FUNCTION_TOLERANCE
-// SOLVER: dense_schur, sparse_schur or iterative_schur.
+// SOLVER: dense_schur, sparse_schur or iterative_schur. Without arguments it prints the version of Ceres.
 #include <ceres/ceres.h>
 #include <ceres/rotation.h>
 
@@ -25,6 +25,7 @@ struct ImagePoint {
 };
 
 int main(int argc, char** argv) {
+    if (argc == 1) return std::puts(CERES_VERSION_STRING), 0;
     if (argc != 6) return std::fprintf(stderr, "FILE SOLVER THREADS ITERATIONS FUNCTION_TOLERANCE\n"), 2;
     std::FILE* file = std::fopen(argv[1], "r");
     int images, points, rays;

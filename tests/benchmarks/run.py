@@ -1,138 +1,101 @@
 """Times the adjustment against Ceres and others, in turn on the same blocks: python tests/benchmarks/run.py [FILE ...]
 
-Prints for every block and program the median time of one iteration, the whole command, peak memory, the cost reached
-and the ratio of the iteration to that of the fastest of Ceres's solvers; at the end the growth of time and memory with
-the rays. Without files three generated blocks (48, 320, 1200 images) are timed. The Ceres program is built from the
-source beside this file where g++ and Ceres are installed; gtsam takes part where it is installed, it and scipy on small
-blocks.
+For every block and program: the median time of an iteration, the whole command, peak memory and the cost reached, each
+with its ratio to the best of Ceres's solvers in the same column. Our command is `jaxbundle adjust FILE --no-precision`
+with its compilation cache filled, from the start of the process to the written tables; Ceres's is its program, from the
+start to its report, without a file written. Below our line: the parts of an iteration, each compiled by itself, and the
+standard deviations of all images and points. At the end: the growth with the rays.
+
+Without files, generated blocks (48, 110, 320, 1200 images) are timed. The Ceres program is built from the source beside
+this file where g++ and Ceres are installed. The peers scipy, gtsam and pycolmap (pip install -e .[benchmarks]) are run
+once, where they are installed, each on blocks up to a size of its own. Exit code 1: a program of ours failed.
 """
 
 import argparse
-import re
-import shutil
 import statistics
-import subprocess
 import sys
 import tempfile
 import time
-from collections.abc import Callable
 from pathlib import Path
-from typing import NamedTuple
 
-import numpy as np
 from blocks import SIZES, write_block
+from programs import Program, ProgramError, Runner, Timing, build_ceres, size_of, taking_part
+from table import print_block, print_growth, print_machine
 
-HERE = Path(__file__).parent
-SOLVERS = ("dense_schur", "sparse_schur")
-LARGEST_DENSE = 600  # images: beyond, Ceres's dense matrix takes gigabytes
-LARGEST_PEER = 50_000  # rays that scipy and gtsam are asked to take
-
-
-class Timing(NamedTuple):
-    """Median iteration and whole command in seconds, peak memory in MB, cost reached."""
-
-    iteration: float
-    command: float
-    memory: float
-    cost: float
+LARGE = 1_000_000  # rays, from which one round must do
+ROUNDS = 3
+LONG = 150.0  # seconds of a block, after which no further round begins
 
 
-def measured(command: list[str]) -> tuple[str, float, float]:
-    """Output, wall time and peak memory of a command."""
+def timed_in_turn(programs: dict[str, Program], rounds: int) -> tuple[dict[str, Timing], dict[str, str]]:
+    """Medians over rounds in which all take their turn, and why a program has none; one that fails is out."""
+    runs: dict[str, list[Timing]] = {name: [] for name in programs}
+    failed: dict[str, str] = {}
     start = time.perf_counter()
-    timed = ["/usr/bin/time", "-f", "peak %M"] if Path("/usr/bin/time").exists() else []
-    done = subprocess.run([*timed, *command], capture_output=True, text=True, check=False)
-    wall = time.perf_counter() - start
-    if done.returncode not in (0, 1):
-        raise RuntimeError(done.stdout + done.stderr)
-    peak = re.search(r"peak (\d+)", done.stderr)
-    return done.stdout, wall, int(peak[1]) / 1024 if peak else float("nan")
-
-
-def timed_worker(worker: str, file: Path) -> Timing:
-    """A program of this folder that prints `iteration`, `cost` lines."""
-    out, wall, memory = measured([sys.executable, str(HERE / f"{worker}_worker.py"), str(file)])
-    iterations = [float(x) for x in re.findall(r"^iteration (\S+)", out, re.M)]
-    (cost,) = re.findall(r"^cost (\S+)", out, re.M)
-    return Timing(statistics.median(iterations[1:] or iterations), wall, memory, float(cost))
-
-
-def ceres(program: Path, file: Path, solver: str, tolerance: float = 1e-12) -> Timing:
-    """Ceres on two threads."""
-    out, wall, memory = measured([str(program), str(file), solver, "2", "100", str(tolerance)])
-    rows = re.findall(r"^ +\d+ +\S+ +\S+ +\S+ +\S+ +\S+ +\S+ +\d+ +(\S+) +\S+$", out, re.M)
-    (cost,) = re.findall(r"^final cost (\S+)", out, re.M)
-    return Timing(statistics.median(float(x) for x in rows[2:]), wall, memory, float(cost))
-
-
-def build_ceres(folder: Path) -> Path | None:
-    """The Ceres program, None where it cannot be built."""
-    if not shutil.which("g++"):
-        return None
-    program = folder / "ceres_bundle"
-    build = ["g++", "-O3", "-march=native", "-std=c++17", "-I/usr/include/eigen3", str(HERE / "ceres_bundle.cc")]
-    done = subprocess.run([*build, "-o", str(program), "-lceres", "-lglog"], capture_output=True, check=False)
-    return program if done.returncode == 0 else None
-
-
-def compare(file: Path, program: Path | None, rounds: int) -> tuple[int, Timing]:
-    """Prints one block's lines: medians over rounds in which all take their turn. Returns the rays and our line."""
-    images, points, rays = map(int, file.open().readline().split())
-    peers: dict[str, Callable[[], Timing]] = {"jaxbundle": lambda: timed_worker("jaxbundle", file)}
-    if program:
-        for solver in SOLVERS[images > LARGEST_DENSE :]:
-            peers[f"Ceres {solver}"] = lambda solver=solver: ceres(program, file, solver)
-    if rays <= LARGEST_PEER:
-        peers["scipy"] = lambda: timed_worker("scipy", file)
-        peers["gtsam"] = lambda: timed_worker("gtsam", file)
-    results: dict[str, list[Timing]] = {name: [] for name in peers}
-    for turn in range(rounds + 1):
-        for name, run in peers.items():
-            if turn > 1 and name in ("scipy", "gtsam"):
+    for turn in range(rounds):
+        if turn and time.perf_counter() - start > LONG:
+            break
+        for name, program in programs.items():
+            if name in failed or (turn and program.once):
                 continue
             try:
-                timing = run()
-            except (RuntimeError, ValueError):
-                continue
-            if turn or name != "jaxbundle":  # its first turn fills the compilation cache
-                results[name].append(timing)
-    print(f"\n{file.name}: {images} images, {points} points, {rays} rays")
+                if program.warm and turn == 0:
+                    program.warm()
+                runs[name].append(program.run())
+            except ProgramError as error:
+                failed[name] = f"{'failed' if not runs[name] else 'failed in a later round'}: {error}"
     medians = {
-        name: Timing(*(statistics.median(x) for x in zip(*runs, strict=True))) for name, runs in results.items() if runs
+        name: Timing(*(statistics.median(x) for x in zip(*timings, strict=True)))
+        for name, timings in runs.items()
+        if timings
     }
-    best = min((t.iteration for name, t in medians.items() if name.startswith("Ceres")), default=float("nan"))
-    for name, t in medians.items():
-        print(
-            f"  {name:20s} iteration {1e3 * t.iteration:9.1f} ms  command {t.command:7.2f} s  peak {t.memory:6.0f} MB"
-            f"  cost {t.cost:.9e}  ratio {t.iteration / best:5.2f}"
-        )
-    return rays, medians["jaxbundle"]
+    return medians, failed
 
 
-def print_growth(results: list[tuple[int, Timing]]) -> None:
-    """Exponents of time and memory in the rays, by a straight line through the logarithms."""
-    if len(results) < 3:
-        return
-    rays = np.log([n for n, _ in results])
-    for name in ("iteration", "command", "memory"):
-        exponent = np.polyfit(rays, np.log([getattr(t, name) for _, t in results]), 1)[0]
-        print(f"{name} grows with the rays to the power {exponent:.2f}")
+def compare(runner: Runner, file: Path, rounds: int | None) -> tuple[int, dict[str, Timing], bool]:
+    """Times and prints one block. Returns its rays, the medians, and whether our programs did their work."""
+    size = size_of(file)
+    rounds = rounds or (1 if size[2] > LARGE else ROUNDS)
+    results, failed = timed_in_turn(taking_part(runner, file), rounds)
+    try:
+        parts = runner.parts(file)
+    except ProgramError as error:
+        parts, failed["parts of an iteration"] = {}, f"failed: {error}"
+    print_block(file, size, results, parts, failed)
+    return size[2], results, not {"jaxbundle", "parts of an iteration"} & set(failed)
 
 
-def main() -> None:
-    """Command line."""
-    parser = argparse.ArgumentParser()
-    parser.add_argument("files", nargs="*", type=Path)
-    parser.add_argument("--rounds", type=int, default=3)
+def parsed() -> argparse.Namespace:
+    """Options."""
+    parser = argparse.ArgumentParser(description="Times the adjustment against Ceres and others on the same blocks.")
+    parser.add_argument("files", nargs="*", type=Path, metavar="FILE", help="BAL files instead of generated blocks")
+    parser.add_argument("--blocks", default=",".join(SIZES), help="generated blocks, by images (default: %(default)s)")
+    parser.add_argument("--rounds", type=int, help=f"default: {ROUNDS}, and 1 above {LARGE} rays")
+    parser.add_argument("--timeout", type=float, default=300.0, help="seconds of one program (default: %(default)s)")
     options = parser.parse_args()
-    with tempfile.TemporaryDirectory() as folder:
-        files: list[Path] = options.files
-        for name, size in [] if options.files else list(SIZES.items()):
-            files = [*files, Path(folder) / f"{name}.txt"]
-            write_block(files[-1], *size)
-        program = build_ceres(Path(folder))
-        print_growth([compare(file, program, options.rounds) for file in files])
+    options.blocks = [] if options.files else options.blocks.split(",")
+    unknown = [name for name in options.blocks if name not in SIZES]
+    if unknown or (options.rounds is not None and options.rounds < 1):
+        parser.error(f"no blocks {unknown}; there are {list(SIZES)}" if unknown else "--rounds must be positive")
+    return options
+
+
+def main() -> int:
+    """Command line; the exit code."""
+    options = parsed()
+    with tempfile.TemporaryDirectory() as name:
+        folder = Path(name)
+        runner = Runner(folder, options.timeout, build_ceres(folder))
+        print_machine(runner.ceres)
+        blocks = [compare(runner, file, options.rounds) for file in options.files]
+        for block in options.blocks:
+            file = folder / f"{block}.txt"
+            write_block(file, *SIZES[block])
+            blocks.append(compare(runner, file, options.rounds))
+            file.unlink()
+    print_growth([(rays, results) for rays, results, _ in blocks])
+    return 0 if all(fine for *_, fine in blocks) else 1
 
 
 if __name__ == "__main__":
-    main()
+    sys.exit(main())
