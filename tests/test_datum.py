@@ -8,10 +8,11 @@ import jax.numpy as jnp
 import numpy as np
 import pytest
 
-from jaxbundle.block.block import Block, Datum
+from jaxbundle.block.block import Block, Datum, Parameter
 from jaxbundle.block.datum import with_datum
 from jaxbundle.block.datum_defect import datum_defect
 from jaxbundle.block.geodetic import DISTANCES
+from jaxbundle.block.navigation import GNSS
 from jaxbundle.block.observations import CONTROL, STATIONS, ObservationGroup, observation_group
 from jaxbundle.block.problems import BlockError
 from jaxbundle.planning.simulate import simulate
@@ -157,3 +158,61 @@ def test_datum_is_chosen_before_tracing():
     arrays, static = eqx.partition(block, eqx.is_array)
     with pytest.raises(ValueError, match="with_datum"):
         jax.jit(lambda arrays: adjust(eqx.combine(arrays, static)).sigma0)(arrays)
+
+
+def with_navigation(block: Block, *sizes: str) -> Block:
+    """The stations of a block with unknown shifts, or shifts and drifts, common to all ("block") or of every strip."""
+    (stations,) = block.groups
+    names = block.structure.image_names
+    owners = ["block" if "block" in sizes else f"strip {name[0]}" for name in names]
+    kinds = [size for size in ("shift", "drift") if size in sizes]
+    owned = [f"{kind} {axis} of {who}" for who in dict.fromkeys(owners) for kind in kinds for axis in "XYZ"]
+    parameters = (*(Parameter(name) for name in owned), *(Parameter(f"none {k}", free=False) for k in range(9)))
+    number = {parameter.name: k for k, parameter in enumerate(parameters)}
+
+    def chosen(kind: str, who: str, first: int) -> list[int]:
+        return [number.get(f"{kind} {axis} of {who}", number[f"none {first + k}"]) for k, axis in enumerate("XYZ")]
+
+    levers = [number[f"none {k}"] for k in range(3)]
+    indices = [[i, *levers, *chosen("shift", w, 3), *chosen("drift", w, 6)] for i, w in enumerate(owners)]
+    times = np.array([float(name[2:]) for name in names])[:, None]
+    group = observation_group(
+        GNSS, np.array(indices), np.asarray(stations.values), np.full((len(names), 3), 0.1), times
+    )
+    structure = dataclasses.replace(block.structure, parameters=parameters)
+    return dataclasses.replace(block, structure=structure, groups=(group,), parameters=jnp.zeros(len(parameters)))
+
+
+XYZ = (0.0, 0.0, 0.0), (800.0, 500.0, 10.0)
+
+
+@pytest.mark.parametrize(
+    ("sizes", "known", "count"),
+    [
+        (("shift", "block"), (), 3),
+        (("shift",), (), 4),
+        (("shift",), XYZ[:1], 1),
+        (("shift",), XYZ, 0),
+        (("shift", "drift"), (), 7),
+        (("shift", "drift"), (*XYZ, (NO, NO, 20.0)), 0),
+    ],
+)
+def test_navigation_data_with_systematic_errors(sizes, known, count):
+    """Two parallel strips; the point that is known in height only lies off the line of the two others."""
+    block = with_navigation(with_stations(free_network(2)), *sizes)
+    defect = datum_defect(placed(block, control(*known)) if known else block)
+    assert defect.count == count
+    if count:
+        assert any(name.startswith("shift") for name in defect.parameters)
+
+
+def test_parameters_that_take_part_are_named_with_the_points_that_move():
+    block = with_navigation(with_stations(free_network(2)), "shift")
+    with pytest.raises(BlockError) as error:
+        with_datum(placed(block, control(XYZ[0])))
+    words = str(error.value)
+    assert (
+        "parameters that take part: shift" in words
+        and "points that would move most" in words
+        and "hold the parameters" in words
+    )
