@@ -30,7 +30,7 @@ def with_datum(block: Block) -> Block:
     Raises: BlockError where control exists but leaves a part of the datum undetermined.
     """
     structure = block.structure
-    if structure.datum.kind in ("control", "minimal") or structure.datum.constraints:
+    if structure.datum.kind in ("control", "minimal") or (structure.datum.kind == "inner" and structure.datum.held):
         return block
     if not block.concrete:
         raise ValueError(

@@ -61,9 +61,9 @@ def read_bal(path: str | Path, estimate_interior: bool = True) -> Block:
         ExteriorOrientation(centre.T, angles.T),
         InteriorOrientation(on_device(parameters[:, 6:])),
         on_device(coordinates.reshape(-1, 3)),
-        Rays(on_device(rays[:, 2:]), jnp.ones((observations, 2))),
+        Rays(on_device(rays[:, 2:]), on_device(np.ones((observations, 2)))),
         (),
-        CheckPoints(jnp.zeros((0, 3)), jnp.zeros((0, 3))),
+        CheckPoints(*(on_device(np.zeros((0, 3))) for _ in range(2))),
     )
 
 

@@ -21,13 +21,13 @@ from jaxbundle.normals import ordering
 from jaxbundle.normals.cells import Tiles
 from jaxbundle.normals.eliminate import Shape
 from jaxbundle.normals.kept import KeptRays
-from jaxbundle.normals.reduced_plan import Method, reduced_plan, too_large
+from jaxbundle.normals.long_tiles import long_tiling
+from jaxbundle.normals.products import AbstractProducts, Finder, class_products, group_products, pair_finder
+from jaxbundle.normals.reduced_plan import Method, ReducedPlan, reduced_plan, too_large
 from jaxbundle.normals.reduced_system import ReducedSolver
-from jaxbundle.normals.tiles import CLASSES, SLOTS, Tiling, tiling
+from jaxbundle.normals.tiles import SLOTS, Tiling, tile_width, tiling
 from jaxbundle.numerics.host import array_module, is_concrete, on_device, on_host
 from jaxbundle.numerics.shapes import grid_size
-
-DENSE_TABLE = 4096  # images; beyond, pairs are looked up by bisection
 
 
 class Order(NamedTuple):
@@ -45,18 +45,23 @@ class Order(NamedTuple):
     parameters: int
 
 
+class Part(NamedTuple):
+    """The tiles of points with short or with long tracks, their rays as the tiling numbers them, and their products."""
+
+    tiling: Tiling
+    rays: Int[np.ndarray, " ray"]
+    products: AbstractProducts | None
+
+
 @dataclass(frozen=True, eq=False)
 class Arrangement:
     """The plan of one block, host data. The last image is a dummy; kept points stand behind the places of the tiles."""
 
     order: Order
     shape: Shape
-    tiling: Tiling
-    rays: Int[np.ndarray, " ray"]  # those of eliminated points, as the tiling numbers them
+    parts: tuple[Part, ...]
     kept: Int[np.ndarray, " kept"]
     kept_rays: Int[np.ndarray, " ray"]
-    pair: Int[np.ndarray, " entry"]
-    pair_offset: Int[np.ndarray, "device chunk"]
     diagonal_pair: Int[np.ndarray, " image"]
     group_pairs: tuple[Int[np.ndarray, " member"] | None, ...]
     reduced: ReducedSolver
@@ -66,7 +71,7 @@ class Arrangement:
     @property
     def places(self) -> int:
         """Columns of all tiles of all devices."""
-        return self.tiling.devices * self.tiling.tiles * self.tiling.width
+        return self.devices * sum(part.tiling.tiles for part in self.parts) * self.shape.width
 
 
 class Arranged(NamedTuple):
@@ -85,7 +90,7 @@ class Problem(eqx.Module):
     """What the solver takes through `args`. `observations` has no rays: they are in `tiles` and `kept_rays`."""
 
     observations: Observations
-    tiles: Tiles
+    tiles: tuple[Tiles, ...]
     kept_rays: KeptRays
     diagonal_pair: Int[Array, " image"]
     group_pairs: tuple[Int[Array, " member"] | None, ...]
@@ -98,15 +103,14 @@ class Problem(eqx.Module):
     @property
     def free_tiles(self) -> Bool[Array, "3 tile column"]:
         """Which coordinates of the eliminated points are unknown."""
-        width = self.tiles.measured.shape[-1]
         places = self.observations.point_free.shape[1] - self.shape.kept
-        return self.observations.point_free[:, :places].reshape(3, -1, width)
+        return self.observations.point_free[:, :places].reshape(3, -1, self.shape.width)
 
 
 def kept_points(structure: Structure, groups: tuple[ObservationGroup, ...]) -> Bool[np.ndarray, " point"]:
-    """Points that cannot be eliminated one by one: they share an observation, or have no ray or too many for a tile."""
+    """Points that cannot be eliminated one by one: they share an observation, or have no ray."""
     count = np.bincount(structure.ray_point, minlength=len(structure.point_names))
-    kept = (count == 0) | (count > SLOTS)
+    kept = count == 0
     for group in groups:
         touches = group.structure.kind.touches
         for k, kind in enumerate(touches):
@@ -136,42 +140,38 @@ def _group_image_pairs(structure: Structure, group: ObservationGroup, own: bool)
     return np.stack(columns, 1) if len(columns) == 2 else None
 
 
-def _pair_lists(
-    plan: Tiling, pairs: Int[np.ndarray, "pair 2"], images: int, waste: int
-) -> tuple[Int[np.ndarray, " entry"], Int[np.ndarray, "device chunk"]]:
-    """The pool's block of every pair of slots of every tile, chunk after chunk of a class; where each chunk begins."""
-    find = _pair_finder(pairs, images, waste)
-    offset = np.zeros(plan.tile_class.shape, np.int64)
-    used = np.arange(plan.tile_class.shape[1]) < plan.chunks[:, None]
-    lists, total = [], 0
-    for kind, size in enumerate(CLASSES):
-        g, c = np.nonzero(used & (plan.tile_class == kind))
-        if len(g) == 0:
+def _parts(
+    rays: Int[np.ndarray, " ray"],
+    image: Int[np.ndarray, " ray"],
+    point: Int[np.ndarray, " ray"],
+    points: int,
+    reduced: ReducedPlan,
+    find: Finder,
+    centres: Float[np.ndarray, "image 3"],
+    devices: int,
+    width: int,
+) -> tuple[tuple[Part, ...], Int[np.ndarray, " point"]]:
+    """Points with short tracks and those with long ones, as far as there are any; the place of every point.
+
+    `rays`: numbers of the rays in the block, sorted by point; `image` and `centres` in elimination order.
+    """
+    long = np.bincount(point, minlength=points) > SLOTS
+    parts, tile, first = [], np.empty((points, 3), np.int64), 0
+    for chosen, plan, plan_products in ((~long, tiling, class_products), (long, long_tiling, group_products)):
+        if not chosen.any():
             continue
-        image = plan.slot_image[g, c].reshape(-1, size)
-        block = find(image[:, :, None], image[:, None, :])
-        per_chunk = SLOTS * size
-        offset[g, c] = total + np.arange(len(g)) * per_chunk
-        total += len(g) * per_chunk
-        lists.append(block.ravel())
-    pad = grid_size(total + SLOTS * SLOTS) - total  # a chunk may read on beyond its last tile
-    return np.concatenate([*lists, np.full(pad, waste)]).astype(np.int32), offset.astype(np.int32)
-
-
-def _pair_finder(pairs: Int[np.ndarray, "pair 2"], images: int, waste: int):
-    """Function from two ranks to the block of their pair; `waste` where i < j or where they share no point."""
-    if images <= DENSE_TABLE:
-        table = np.full((images, images), waste, np.int32)
-        table[pairs[:, 0], pairs[:, 1]] = np.arange(len(pairs))
-        return lambda i, j: table[i, j]
-    code = pairs[:, 0] * np.int64(images) + pairs[:, 1]
-
-    def find(i: np.ndarray, j: np.ndarray) -> np.ndarray:
-        wanted = i * np.int64(images) + j
-        at = np.minimum(np.searchsorted(code, wanted), len(code) - 1)
-        return np.where(code[at] == wanted, at, waste)
-
-    return find
+        mine = np.nonzero(chosen[point])[0]
+        number = np.cumsum(chosen) - 1
+        t = plan(image[mine], number[point[mine]], int(chosen.sum()), len(centres), centres, devices, width)
+        t.slot_image[t.slot_image == len(centres)] = reduced.images - 1
+        t.slot_tile[...] += first
+        tile[chosen] = t.point_tile + np.array([0, first, 0])
+        # conjugate gradients take diagonal blocks only
+        products = None if reduced.method == "pcg" else plan_products(t, find, reduced.pool - 1)
+        parts.append(Part(t, rays[mine], products))
+        first += t.tiles
+    device, tile, column = tile.T
+    return tuple(parts), (device * first + tile) * width + column
 
 
 def arrange(
@@ -209,19 +209,15 @@ def arrange(
     if solver == "pcg" and extra:
         raise ValueError("conjugate gradients do not take observations that touch two images; take another solver")
     reduced = reduced_plan(graph, images, d, devices, solver)
-    padded_images = reduced.images
-
     row = reduced.rank
     ranked = np.empty((images, 3))
     ranked[row] = centres if centres is not None else np.stack([row, 0 * row, 0 * row], 1)
-    tiles = tiling(row[ray_image], ray_point, int((~kept).sum()), images, ranked, devices)
-    tiles.slot_image[tiles.slot_image == images] = padded_images - 1
-    waste = reduced.pool - 1
-    pair, offset = _pair_lists(tiles, reduced.pairs, padded_images, waste)
-    find = _pair_finder(reduced.pairs, padded_images, waste)
-    places = devices * tiles.tiles * tiles.width
+    width, padded_images = tile_width(len(rays)), reduced.images
+    find = pair_finder(reduced.pairs, padded_images, reduced.pool - 1)
+    parts, place = _parts(rays, row[ray_image], ray_point, int((~kept).sum()), reduced, find, ranked, devices, width)
+    places = devices * sum(part.tiling.tiles for part in parts) * width
     point = np.empty(len(kept), np.int64)
-    point[~kept], point[kept] = tiles.place, places + np.arange(kept.sum())
+    point[~kept], point[kept] = place, places + np.arange(kept.sum())
     camera = row[np.argsort(structure.image_camera)] if own else np.arange(cameras)
     return Arrangement(
         Order(
@@ -233,13 +229,10 @@ def arrange(
             places + padded_kept,
             len(structure.parameters),
         ),
-        Shape(d, shared, 0 if own else cameras, parameters, padded_kept, reduced.pool, reduced.method == "pcg"),
-        tiles,
-        rays,
+        Shape(d, shared, 0 if own else cameras, parameters, padded_kept, reduced.pool, reduced.method == "pcg", width),
+        parts,
         np.nonzero(kept)[0],
         np.nonzero(keep)[0],
-        pair,
-        offset,
         find(np.arange(padded_images), np.arange(padded_images)),
         tuple(None if p is None else find(row[p].max(1), row[p].min(1)) for p in touching),
         reduced.solver,
@@ -270,13 +263,13 @@ def arranged_unknowns(a: Arrangement, unknowns: Unknowns) -> Arranged:
     rotation = spread(unknowns.rotation, o.image, o.images, np.eye(3).reshape(9, 1))
     points = spread(unknowns.points, o.point, o.points, 0.0)
     images = Unknowns(
-        jnp.asarray(rotation),
-        jnp.asarray(spread(unknowns.centre, o.image, o.images, 0.0)),
-        jnp.asarray(spread(unknowns.interior, o.camera, o.cameras, 1.0)),
+        on_device(rotation),
+        on_device(spread(unknowns.centre, o.image, o.images, 0.0)),
+        on_device(spread(unknowns.interior, o.camera, o.cameras, 1.0)),
         on_device(_padded(unknowns.parameters, a.shape.parameters)),
-        jnp.asarray(points[:, a.places :]),
+        on_device(points[:, a.places :]),
     )
-    return Arranged(images, jnp.asarray(points[:, : a.places].reshape(3, -1, a.tiling.width)))
+    return Arranged(images, on_device(points[:, : a.places].reshape(3, -1, a.shape.width)))
 
 
 def restored_unknowns(a: Arrangement, arranged: Arranged) -> Unknowns:
@@ -295,18 +288,21 @@ def restored_unknowns(a: Arrangement, arranged: Arranged) -> Unknowns:
 
 
 def restored_rays(a: Arrangement, cells: list[Array], kept: list[Array]) -> Float[Array, "ray 2"]:
-    """What belongs to the cells and to the rays of kept points, in the order of the block's rays."""
-    grid = a.tiling.ray.ravel()
-    cell = np.flatnonzero(grid >= 0)
-    place = np.empty(len(a.rays) + len(a.kept_rays), int)
-    place[a.rays[grid[cell]]] = cell
-    place[a.kept_rays] = grid.size + np.arange(len(a.kept_rays))
+    """What belongs to the cells, two arrays a part, and to the rays of kept points, in the order of the block."""
+    place = np.empty(sum(len(part.rays) for part in a.parts) + len(a.kept_rays), int)
+    first = 0
+    for part in a.parts:
+        grid = part.tiling.ray.ravel()
+        cell = np.flatnonzero(grid >= 0)
+        place[part.rays[grid[cell]]] = first + cell
+        first += grid.size
+    place[a.kept_rays] = first + np.arange(len(a.kept_rays))
     xp = np if is_concrete((cells, kept)) else jnp
     columns = []
     for k in range(2):
-        parts = [on_host(cells[k]).ravel(), *([on_host(kept[k])] if kept else [])]
+        parts = [*(on_host(x).ravel() for x in cells[k::2]), *(on_host(x) for x in kept[k : k + 1])]
         columns.append(xp.concatenate(parts)[place])
-    return jnp.asarray(xp.stack(columns, 1))
+    return on_device(xp.stack(columns, 1))
 
 
 def problem(a: Arrangement, block: Block) -> Problem:
@@ -323,51 +319,51 @@ def problem(a: Arrangement, block: Block) -> Problem:
         groups.append(group_arrays(group, np.stack([places[kind][index] for kind, index in touched])))
     column = np.full(o.points, a.shape.border)
     column[a.places :] = a.shape.first_kept_point + 3 * np.arange(o.points - a.places)
-    none = jnp.zeros(0, jnp.int32)
+    none = on_device(np.zeros(0, np.int32))
     interior_free = structure.interior_free.T[list(structure.interior_columns)]
     observations = Observations(
         structure.model,
         structure.interior_columns,
         structure.rotation_system,
-        jnp.asarray(image_camera, jnp.int32),
+        on_device(image_camera, jnp.int32),
         none,
         none,
-        jnp.zeros((2, 0)),
-        jnp.zeros((2, 0)),
+        on_device(np.zeros((2, 0))),
+        on_device(np.zeros((2, 0))),
         tuple(groups),
-        jnp.asarray(spread(structure.exterior_free.T, o.image, o.images, False)),
-        jnp.asarray(spread(interior_free, o.camera, o.cameras, False)),
+        on_device(spread(structure.exterior_free.T, o.image, o.images, False)),
+        on_device(spread(interior_free, o.camera, o.cameras, False)),
         on_device(_padded(structure.parameter_free, a.shape.parameters)),
-        jnp.asarray(spread(structure.point_free.T, o.point, o.points, False)),
-        None if in_angles is None else jnp.asarray(spread(in_angles[None], o.image, o.images, False)[0]),
+        on_device(spread(structure.point_free.T, o.point, o.points, False)),
+        None if in_angles is None else on_device(spread(in_angles[None], o.image, o.images, False)[0]),
     )
     return Problem(
         observations,
-        _tiles(a, block),
+        tuple(_tiles(part, block) for part in a.parts),
         _kept_rays(a, block),
-        jnp.asarray(a.diagonal_pair),
-        tuple(None if p is None else jnp.asarray(p) for p in a.group_pairs),
-        jnp.asarray(column, jnp.int32),
-        jnp.arange(o.cameras),  # own cameras stand in the order of their images
+        on_device(a.diagonal_pair),
+        tuple(None if p is None else on_device(p) for p in a.group_pairs),
+        on_device(column, jnp.int32),
+        on_device(np.arange(o.cameras)),  # own cameras stand in the order of their images
         a.reduced,
         a.shape,
         a.devices,
     )
 
 
-def _tiles(a: Arrangement, block: Block) -> Tiles:
+def _tiles(part: Part, block: Block) -> Tiles:
     """The rays of eliminated points as cells."""
-    t = a.tiling
-    cell = np.append(a.rays, 0)[t.ray]  # -1, no ray, reads the appended one and gets weight 0
+    t = part.tiling
+    cell = np.append(part.rays, 0)[t.ray]  # -1, no ray, reads the appended one and gets weight 0
     coordinates, sigmas = on_host(block.rays.coordinates), on_host(block.rays.sigmas)
     xp = np if is_concrete(coordinates) else jnp
     measured = xp.stack([coordinates[:, k][cell] for k in range(2)], 2)
     xp = np if is_concrete(sigmas) else jnp
     weights = xp.stack([(t.ray >= 0) / sigmas[:, k][cell] for k in range(2)], 2)
-    return Tiles(
-        *(jnp.asarray(x) for x in (t.slot_image, t.slot_tile, measured, weights)),
-        *(jnp.asarray(x) for x in (t.tile_class, a.pair_offset, t.chunks, a.pair)),
+    slot_image, slot_tile, measured, weights, chunks = (
+        on_device(x) for x in (t.slot_image, t.slot_tile, measured, weights, t.chunks)
     )
+    return Tiles(slot_image, slot_tile, measured, weights, chunks, part.products, t.most_tiles, t.group)
 
 
 def _kept_rays(a: Arrangement, block: Block) -> KeptRays:
@@ -378,8 +374,8 @@ def _kept_rays(a: Arrangement, block: Block) -> KeptRays:
     used = np.arange(size) < len(a.kept_rays)
     image, point = block.structure.ray_image[ray], block.structure.ray_point[ray]
     return KeptRays(
-        jnp.asarray(a.order.image[image], jnp.int32),
-        jnp.asarray(np.where(used, a.order.point[point] - a.places, 0), jnp.int32),
-        jnp.asarray(on_host(block.rays.coordinates)[ray].T),
-        jnp.asarray(used / on_host(block.rays.sigmas)[ray].T),
+        on_device(a.order.image[image], jnp.int32),
+        on_device(np.where(used, a.order.point[point] - a.places, 0), jnp.int32),
+        on_device(on_host(block.rays.coordinates)[ray].T),
+        on_device(used / on_host(block.rays.sigmas)[ray].T),
     )

@@ -13,25 +13,30 @@ from jaxtyping import Array, Bool, Float, Int
 
 from jaxbundle.camera.collinearity import Vector
 from jaxbundle.geometry.rotation import Rotation
-from jaxbundle.normals.tiles import MOST_TILES
+from jaxbundle.normals.products import AbstractProducts
 
 
 class Tiles(eqx.Module):
-    """The tiles of one device, or of all with a leading device axis; `pair` lists the pool's block of every pair of
-    slots of every tile, the last block of the pool where two images share no point."""
+    """The tiles of one device, or of all with a leading device axis; without products where no pool takes them.
+
+    `most_tiles`: a chunk's. `group`: so many neighbouring slots from a multiple of it on belong to one tile.
+    """
 
     slot_image: Int[Array, "*device chunk slot"]
     slot_tile: Int[Array, "*device chunk slot"]
     measured: Float[Array, "*device chunk 2 slot column"]
     weights: Float[Array, "*device chunk 2 slot column"]
-    tile_class: Int[Array, "*device chunk"]
-    pair_offset: Int[Array, "*device chunk"]
     chunks: Int[Array, "*device"]
-    pair: Int[Array, " entry"]
+    products: AbstractProducts | None
+    most_tiles: int = eqx.field(static=True)
+    group: int = eqx.field(static=True)
 
 
 class Chunk(NamedTuple):
-    """One chunk: image and tile of every slot (tiles counted from the first), measured values, weights, used cells."""
+    """One chunk: image and tile of every slot (tiles counted from the first), measured values, weights, used cells.
+
+    `most_tiles`: of any chunk.
+    """
 
     slot_image: Int[Array, " slot"]
     first_tile: Int[Array, ""]
@@ -39,6 +44,7 @@ class Chunk(NamedTuple):
     measured: tuple[Array, Array]
     weights: tuple[Array, Array]
     used: Bool[Array, "slot column"]
+    most_tiles: int
 
     @property
     def tile_count(self) -> Int[Array, ""]:
@@ -47,7 +53,7 @@ class Chunk(NamedTuple):
 
     def window(self, of_tiles: Array) -> Array:
         """The chunk's part of an array with a row a tile, with rows of the next chunks behind it."""
-        return lax.dynamic_slice_in_dim(of_tiles, self.first_tile, MOST_TILES, 0)
+        return lax.dynamic_slice_in_dim(of_tiles, self.first_tile, self.most_tiles, 0)
 
 
 def chunk_of(tiles: Tiles, c: Array) -> Chunk:
@@ -57,7 +63,8 @@ def chunk_of(tiles: Tiles, c: Array) -> Chunk:
         for x in (tiles.slot_image, tiles.slot_tile, tiles.measured, tiles.weights)
     )
     used = (weights[0] > 0) | (weights[1] > 0)
-    return Chunk(slot_image, tile[0], tile - tile[0], (measured[0], measured[1]), (weights[0], weights[1]), used)
+    measured, weights = (measured[0], measured[1]), (weights[0], weights[1])
+    return Chunk(slot_image, tile[0], tile - tile[0], measured, weights, used, tiles.most_tiles)
 
 
 def at_slots(rows: Float[Array, "row number"], index: Int[Array, " slot"]) -> list[Float[Array, "slot 1"]]:
@@ -76,11 +83,10 @@ def points_at_cells(chunk: Chunk, points: list[Array], tile: Array, rotation: Ro
     return x, y, z
 
 
-def sum_by_tile(cells: list[Array], tile: Int[Array, " slot"]) -> list[Array]:
+def sum_by_tile(cells: list[Array], chunk: Chunk) -> list[Array]:
     """Sums of several cell arrays over the slots of every tile: (tile, column) each."""
     n = cells[0].shape[1]
     joined = jnp.concatenate(lax.optimization_barrier(cells), 1)
-    sums = (
-        jnp.zeros((MOST_TILES, joined.shape[1])).at[tile].add(joined, mode="promise_in_bounds", indices_are_sorted=True)
-    )
+    zero = jnp.zeros((chunk.most_tiles, joined.shape[1]))
+    sums = zero.at[chunk.tile].add(joined, mode="promise_in_bounds", indices_are_sorted=True)
     return [sums[:, k * n : (k + 1) * n] for k in range(len(cells))]

@@ -20,10 +20,10 @@ from jaxbundle.normals.arrange import Arranged, Problem
 from jaxbundle.normals.cells import Tiles
 from jaxbundle.normals.eliminate import Eliminated, border_rows, coupling_rows, eliminate, eliminate_chunk
 from jaxbundle.normals.point_blocks import PointFactor, backward
+from jaxbundle.normals.products import contracted
 from jaxbundle.normals.reduced_system import ReducedCofactors, ReducedSystem, factorise
 from jaxbundle.normals.reduced_system import cofactors as reduced_cofactors
 from jaxbundle.normals.step import AXIS, Linearised, device_mesh, linearise, local_tiles, partition, reduced_system
-from jaxbundle.normals.tiles import CLASSES, MOST_TILES, SLOTS
 
 
 class Cofactors(NamedTuple):
@@ -74,7 +74,7 @@ def _on_device(unknowns: Arranged, linear: Linearised, p: Problem, free: Array, 
 
 
 def _points(
-    unknowns: Arranged, linear: Linearised, p: Problem, free: Array, tiles: Tiles, q: ReducedCofactors
+    unknowns: Arranged, linear: Linearised, p: Problem, free: Array, tiles: tuple[Tiles, ...], q: ReducedCofactors
 ) -> tuple[Float[Array, "3 3 tile column"], Float[Array, "tile column"]]:
     """Cofactors and weakest pivots of the points of one device."""
     o, shape = p.observations, p.shape
@@ -82,56 +82,28 @@ def _points(
     inner = shape.shared * shape.cameras
     halved = q.pool.at[p.diagonal_pair].multiply(0.5).at[-1].set(0.0)
 
-    def do_chunk(c: Array, store: Array) -> Array:
-        e = eliminate_chunk(o, linear.table, unknowns.tiles, linear.prior, free, jnp.zeros(()), tiles, c)
+    def do_chunk(part: Tiles, c: Array, store: Array) -> Array:
+        assert part.products is not None
+        e = eliminate_chunk(o, linear.table, unknowns.tiles, linear.prior, free, jnp.zeros(()), part, c)
         coupling = coupling_rows(e, 0, d)
-        m = _tile_products(coupling, halved, tiles, c, e.chunk.tile_count, d, n)
+        m = part.products.quadratic(halved, coupling, c, e.chunk.tile_count)
         if inner:
             eb = border_rows(e, o, shape)
-            at_slot = jnp.take(eb, e.chunk.tile, axis=0, mode="clip")
+            at_group = jnp.take(eb, e.chunk.tile[:: part.group], axis=0, mode="clip")
             images = jnp.take(q.coupling[:, :, :inner], e.chunk.slot_image, axis=0, mode="clip")
-            crossed = jnp.einsum("sab,sbk->sak", images, at_slot)
-            by_slot = _contracted(coupling.reshape(SLOTS, d, 3, n), crossed.reshape(SLOTS, d, 3, n))
+            crossed = jnp.einsum("gab,gbk->gak", images.reshape(at_group.shape[0], -1, inner), at_group)
+            by_slot = contracted(coupling.reshape(-1, d, 3, n), crossed.reshape(-1, d, 3, n))
             m = m.at[e.chunk.tile].add(by_slot)
             half = 0.5 * jnp.einsum("ab,tbk->tak", q.border[:inner, :inner], eb)
-            m = m + _contracted(eb.reshape(-1, inner, 3, n), half.reshape(-1, inner, 3, n))
+            m = m + contracted(eb.reshape(-1, inner, 3, n), half.reshape(-1, inner, 3, n))
         blocks, pivot = _point_blocks(e, m)
-        rows = jnp.concatenate([blocks.reshape(MOST_TILES, 9 * n), pivot], 1)
+        rows = jnp.concatenate([blocks.reshape(-1, 9 * n), pivot], 1)
         return lax.dynamic_update_slice(store, rows, (e.chunk.first_tile, jnp.zeros_like(e.chunk.first_tile)))
 
-    store = lax.fori_loop(0, tiles.chunks, do_chunk, jnp.zeros((unknowns.tiles.shape[1], 10 * n)))
+    store = jnp.zeros((unknowns.tiles.shape[1], 10 * n))
+    for part in tiles:
+        store = lax.fori_loop(0, part.chunks, partial(do_chunk, part), store)
     return store[:, : 9 * n].reshape(-1, 3, 3, n).transpose(1, 2, 0, 3), store[:, 9 * n :]
-
-
-def _contracted(
-    left: Float[Array, "entity row 3 n"], right: Float[Array, "entity row 3 n"]
-) -> Float[Array, "entity 3 3 n"]:
-    """Sum over the rows of the products of every pair of coordinates, point by point."""
-    return jnp.stack([jnp.sum(left[:, :, k, None] * right, 1) for k in range(3)], 1)
-
-
-def _tile_products(
-    coupling: Array, halved: Array, tiles: Tiles, c: Array, count: Array, d: int, n: int
-) -> Float[Array, "tile 3 3 n"]:
-    """M = E^T T E of every tile of the chunk; one loop a class, of which one turns."""
-    kind = lax.dynamic_index_in_dim(tiles.tile_class, c, 0, False)
-    offset = lax.dynamic_index_in_dim(tiles.pair_offset, c, 0, False)
-
-    def of_tiles(size: int):
-        def one(t: Array, store: Array) -> Array:
-            e = lax.dynamic_slice_in_dim(coupling, t * size, size, 0).reshape(size * d, 3 * n)
-            block = lax.dynamic_slice_in_dim(tiles.pair, offset + t * size * size, size * size, 0)
-            lower = jnp.take(halved, block, axis=0, mode="clip").reshape(size, size, d, d)
-            product = lower.transpose(0, 2, 1, 3).reshape(size * d, size * d) @ e
-            m = _contracted(e.reshape(1, size * d, 3, n), product.reshape(1, size * d, 3, n))
-            return lax.dynamic_update_slice_in_dim(store, m, t, 0)
-
-        return one
-
-    store = jnp.zeros((MOST_TILES, 3, 3, n))
-    for k, size in enumerate(CLASSES):
-        store = lax.fori_loop(0, jnp.where(kind == k, count, 0), of_tiles(size), store)
-    return store
 
 
 def _point_blocks(e: Eliminated, m: Float[Array, "tile 3 3 n"]) -> tuple[Float[Array, "tile 3 3 n"], Array]:

@@ -11,6 +11,7 @@ gradients and v^T P v; one product a tile of its E with itself gives the blocks 
 form the border: E_b = sum of the tile's rays.
 """
 
+from functools import partial
 from typing import NamedTuple
 
 import jax.numpy as jnp
@@ -22,7 +23,6 @@ from jaxbundle.block.unknowns import Unknowns
 from jaxbundle.normals.cells import Chunk, Tiles, at_slots, chunk_of, points_at_cells, sum_by_tile
 from jaxbundle.normals.point_blocks import PointFactor, factorise, forward
 from jaxbundle.normals.rows import ImageScalars, ray_rows
-from jaxbundle.normals.tiles import CLASSES, MOST_TILES, SLOTS
 
 PAIRS = ((0, 0), (0, 1), (0, 2), (1, 1), (1, 2), (2, 2))
 FACTOR = 12  # numbers kept of a point: factor (6), gradient (3), diagonal of V (3)
@@ -30,7 +30,8 @@ FACTOR = 12  # numbers kept of a point: factor (6), gradient (3), diagonal of V 
 
 class Shape(NamedTuple):
     """Static sizes: unknowns an image (6, or more where every image has its own camera), interior elements a shared
-    camera, shared cameras, parameters, kept points, blocks of the pool, whether the reduced matrix is not formed.
+    camera, shared cameras, parameters, kept points, blocks of the pool, whether the reduced matrix is not formed,
+    points a tile.
 
     The border: interior of shared cameras, parameters, then kept points.
     """
@@ -42,6 +43,7 @@ class Shape(NamedTuple):
     kept: int
     pool: int
     implicit: bool  # the pool has diagonal blocks only
+    width: int
 
     @property
     def first_parameter(self) -> int:
@@ -119,7 +121,7 @@ def eliminate_chunk(
     rows = lax.optimization_barrier(rows)
     (bx, by), (vx, vy) = rows.point, rows.residual
     terms = [bx[i] * bx[j] + by[i] * by[j] for i, j in PAIRS] + [bx[i] * vx + by[i] * vy for i in range(3)]
-    sums = sum_by_tile(terms, chunk.tile)
+    sums = sum_by_tile(terms, chunk)
     if prior is not None:
         sums = [s + chunk.window(p) for s, p in zip(sums, prior, strict=True)]
     diagonal = [sums[0], sums[3], sums[5]]
@@ -150,39 +152,19 @@ def _image_products(e: Eliminated) -> Array:
     y = [sum(h[k] * e.z[k] for k in range(3)) for h in (hx, hy)]
     pairs = [*zip(ax, ay, strict=True), (vx, vy), (y[0], y[1])]
     rows = jnp.concatenate(lax.optimization_barrier([x for pair in pairs for x in pair]), 1)
-    rows = rows.reshape(SLOTS, len(pairs), -1)
+    rows = rows.reshape(rows.shape[0], len(pairs), -1)
     return lax.dot_general(rows, rows, (((2,), (2,)), ((0,), (0,))))
-
-
-def _add_tile_products(pool: Array, coupling: Array, tiles: Tiles, c: Array, count: Array, d: int) -> Array:
-    """Adds E E^T of every tile of the chunk to the pool; one loop a class, of which one turns."""
-    kind = lax.dynamic_index_in_dim(tiles.tile_class, c, 0, False)
-    offset = lax.dynamic_index_in_dim(tiles.pair_offset, c, 0, False)
-
-    def add_tiles(size: int):
-        def add(t: Array, pool: Array) -> Array:
-            # the factor must depend on the turn, else the product is hoisted out of the loop and done for every class
-            e = lax.dynamic_slice_in_dim(coupling, t * size, size, 0) if size < SLOTS else coupling * (1 + t)
-            e = e.reshape(size * d, -1)
-            product = lax.dot_general(e, e, (((1,), (1,)), ((), ()))).reshape(size, d, size, d).transpose(0, 2, 1, 3)
-            block = lax.dynamic_slice_in_dim(tiles.pair, offset + t * size * size, size * size, 0)
-            return pool.at[block].add(product.reshape(size * size, d, d), mode="promise_in_bounds")
-
-        return add
-
-    for k, size in enumerate(CLASSES):
-        pool = lax.fori_loop(0, jnp.where(kind == k, count, 0), add_tiles(size), pool)
-    return pool
 
 
 def border_rows(e: Eliminated, observations: Observations, shape: Shape) -> Float[Array, "tile border 3n"]:
     """E_b of every tile: the rows of its rays summed by camera."""
     rows = coupling_rows(e, shape.image, shape.shared)
     camera = observations.image_camera[e.chunk.slot_image]
-    of_tile = e.chunk.tile[None, None, :] == jnp.arange(MOST_TILES)[:, None, None]
+    tiles = e.chunk.most_tiles
+    of_tile = e.chunk.tile[None, None, :] == jnp.arange(tiles)[:, None, None]
     of_camera = camera[None, None, :] == jnp.arange(shape.cameras)[None, :, None]
-    chosen = (of_tile & of_camera).astype(rows.dtype).reshape(-1, SLOTS)
-    return (chosen @ rows).reshape(MOST_TILES, shape.cameras * shape.shared, -1)
+    chosen = (of_tile & of_camera).astype(rows.dtype).reshape(-1, rows.shape[0])
+    return (chosen @ rows).reshape(tiles, shape.cameras * shape.shared, -1)
 
 
 def eliminate(
@@ -192,7 +174,7 @@ def eliminate(
     prior: Float[Array, "9 tile column"] | None,
     free: Bool[Array, "3 tile column"],
     damping: Array,
-    tiles: Tiles,
+    tiles: tuple[Tiles, ...],
     shape: Shape,
     diagonal_pair: Int[Array, " image"],
 ) -> tuple[ImageSums, Float[Array, "tile numbers"]]:
@@ -200,22 +182,23 @@ def eliminate(
     d, q, images, n = shape.image, shape.shared, table.shape[0], points.shape[2]
     m, border = d + q + 2, q * shape.cameras
 
-    def add_chunk(c: Array, carry: tuple[ImageSums, Array]) -> tuple[ImageSums, Array]:
+    def add_chunk(part: Tiles, c: Array, carry: tuple[ImageSums, Array]) -> tuple[ImageSums, Array]:
         sums, factors = carry
-        e = eliminate_chunk(observations, table, points, prior, free, damping, tiles, c)
+        e = eliminate_chunk(observations, table, points, prior, free, damping, part, c)
         image = sums.image.at[e.chunk.slot_image].add(_image_products(e), mode="promise_in_bounds")
         coupling = coupling_rows(e, 0, d)
-        if shape.implicit:
-            own = coupling.reshape(SLOTS, d, -1)
+        if part.products is None:
+            own = coupling.reshape(coupling.shape[0], d, -1)
             product = lax.dot_general(own, own, (((2,), (2,)), ((0,), (0,))))
             pool = sums.pool.at[diagonal_pair[e.chunk.slot_image]].add(product, mode="promise_in_bounds")
         else:
-            pool = _add_tile_products(sums.pool, coupling, tiles, c, e.chunk.tile_count, d)
+            pool = part.products.added(sums.pool, coupling, c, e.chunk.tile_count)
         sums = sums._replace(pool=pool, image=image)
         if border:
             eb = border_rows(e, observations, shape)
-            at_slot = jnp.take(eb, e.chunk.tile, axis=0, mode="clip")
-            cross = lax.dot_general(coupling.reshape(SLOTS, d, -1), at_slot, (((2,), (2,)), ((0,), (0,))))
+            at_group = jnp.take(eb, e.chunk.tile[:: part.group], axis=0, mode="clip")
+            groups = coupling.reshape(at_group.shape[0], part.group * d, -1)
+            cross = lax.dot_general(groups, at_group, (((2,), (2,)), ((0,), (0,)))).reshape(-1, d, border)
             sums = sums._replace(
                 coupling=sums.coupling.at[e.chunk.slot_image].add(cross, mode="promise_in_bounds"),
                 border=sums.border + jnp.einsum("tik,tjk->ij", eb, eb),
@@ -229,4 +212,7 @@ def eliminate(
         jnp.zeros((images, d, border)),
         jnp.zeros((border, border)),
     )
-    return lax.fori_loop(0, tiles.chunks, add_chunk, (sums, jnp.zeros((points.shape[1], FACTOR * n))))
+    carry = sums, jnp.zeros((points.shape[1], FACTOR * n))
+    for part in tiles:
+        carry = lax.fori_loop(0, part.chunks, partial(add_chunk, part), carry)
+    return carry

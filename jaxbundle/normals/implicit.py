@@ -9,6 +9,7 @@ For blocks whose factor would be too large or too full. It gives no cofactors.
 """
 
 from collections.abc import Callable
+from functools import partial
 from typing import NamedTuple
 
 import jax
@@ -22,7 +23,6 @@ from jaxbundle.normals.kept import KeptSums
 from jaxbundle.normals.point_blocks import PointFactor, backward, forward
 from jaxbundle.normals.rows import image_equation
 from jaxbundle.normals.substitute import split_values
-from jaxbundle.normals.tiles import MOST_TILES
 
 TOLERANCE = 1e-12  # of the first residual, in the norm of the preconditioner
 MOST_ITERATIONS = 2000
@@ -38,7 +38,7 @@ class KeptVector(NamedTuple):
         """Scalar product."""
         return jnp.sum(self.images * other.images) + jnp.sum(self.border * other.border)
 
-    def plus(self, factor: Array, other: "KeptVector") -> "KeptVector":
+    def plus(self, factor: Array | float, other: "KeptVector") -> "KeptVector":
         """self + factor other."""
         return KeptVector(self.images + factor * other.images, self.border + factor * other.border)
 
@@ -70,14 +70,14 @@ def ray_product(
     direction: Float[Array, "image number"],
     points: Float[Array, "3 tile column"],
     factors: Float[Array, "tile numbers"],
-    tiles: Tiles,
+    tiles: tuple[Tiles, ...],
 ) -> Float[Array, "image number"]:
     """A^T P (A x - B u) of the rays of one device, by the numbers of `image_values`; `direction` is x."""
     table = jnp.concatenate([before, direction], 1)
     width, n, model = before.shape[1], points.shape[2], observations.model
 
-    def add_chunk(c: Array, sums: Array) -> Array:
-        chunk = chunk_of(tiles, c)
+    def add_chunk(part: Tiles, c: Array, sums: Array) -> Array:
+        chunk = chunk_of(part, c)
         numbers = at_slots(table, chunk.slot_image)
         old, along = split_values(numbers[:width]), split_values(numbers[width:])
         point = points_at_cells(chunk, list(points), chunk.first_tile + chunk.tile, old[0], old[1])
@@ -95,8 +95,8 @@ def ray_product(
         (at_points,) = jax.vjp(of_point, point)[1](weighted(ax))
         stored = chunk.window(factors)
         factor = PointFactor(*(stored[:, k * n : (k + 1) * n] for k in range(6)))
-        own = (jnp.arange(MOST_TILES) < chunk.tile_count)[:, None]
-        x, y, z = sum_by_tile(list(at_points), chunk.tile)
+        own = (jnp.arange(chunk.most_tiles) < chunk.tile_count)[:, None]
+        x, y, z = sum_by_tile(list(at_points), chunk)
         u = [jnp.where(own, c, 0.0) for c in backward(factor, forward(factor, (x, y, z)))]
         ux, uy, uz = (jnp.take(c, chunk.tile, axis=0, mode="clip") for c in u)
         _, bu = jax.jvp(of_point, (point,), ((ux, uy, uz),))
@@ -105,7 +105,10 @@ def ray_product(
         rows = jnp.concatenate([*by_rotation, *by_centre, *by_interior], 1)
         return sums.at[chunk.slot_image].add(rows, mode="promise_in_bounds")
 
-    return lax.fori_loop(0, tiles.chunks, add_chunk, jnp.zeros_like(before))
+    sums = jnp.zeros_like(before)
+    for part in tiles:
+        sums = lax.fori_loop(0, part.chunks, partial(add_chunk, part), sums)
+    return sums
 
 
 def kept_product(kept: KeptSums, x: KeptVector) -> KeptVector:

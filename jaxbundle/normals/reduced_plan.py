@@ -3,7 +3,6 @@
 from dataclasses import dataclass
 from typing import Literal
 
-import jax.numpy as jnp
 import numpy as np
 from jaxtyping import Int
 
@@ -70,7 +69,7 @@ def reduced_plan(
     pair[: len(pairs)] = pairs
     pair = on_device(pair)
     if method == "dense":
-        way = DenseCholesky(pair, jnp.arange(padded, dtype=jnp.int32))
+        way = DenseCholesky(pair, on_device(np.arange(padded), np.int32))
     else:
         way = PanelCholesky(symbolic(pairs, order, q, devices, padded, pool), axis if devices > 1 else None)
     return ReducedPlan(order.rank, pairs, padded, pool, ReducedSolver(pair, way), method)

@@ -183,18 +183,30 @@ def _on_device(
     )
 
 
+def kept_rows(rows: Float[Array, "image number"], turns: Float[Array, "9 3 image"], p: Problem) -> KeptVector:
+    """Sums over rays, by the numbers of `image_values`, as sums by the kept unknowns."""
+    o, (d, q, *_) = p.observations, p.shape
+    angles = jnp.einsum("eai,ie->ia", turns, rows[:, :9])
+    interior = rows[:, 12:][:, np.array(o.columns, int)]
+    border = jnp.zeros(p.shape.border)
+    if d == 6 and q:
+        border = border.at[q * o.image_camera[:, None] + jnp.arange(q)].add(interior)
+    parts = [rows[:, 9:12], angles] + ([interior] if d > 6 else [])
+    return KeptVector(jnp.concatenate(parts, 1), border)
+
+
 def _solve_implicitly(
     unknowns: Arranged,
     linear: Linearised,
     damping: Array,
     p: Problem,
-    tiles: Tiles,
+    tiles: tuple[Tiles, ...],
     factors: Array,
     system: ReducedSystem,
     axis: str | None,
 ) -> KeptVector:
     """The step of the kept unknowns by conjugate gradients."""
-    o, (d, q, *_) = p.observations, p.shape
+    o = p.observations
     # with the coupling, but without the blocks of pairs of images, it might not be positive
     diagonal = eqx.tree_at(lambda s: s.coupling, system, jnp.zeros_like(system.coupling))
     factor = factorise(p.reduced, diagonal, damping)
@@ -208,16 +220,9 @@ def _solve_implicitly(
     def product(x: KeptVector) -> KeptVector:
         direction = direction_of(correction_of(x.images, x.border, p, unknowns), linear.turns)
         rows = ray_product(o, before, image_values(direction, o), unknowns.tiles, factors, tiles)
-        rows = lax.psum(rows, axis) if axis else rows
-        angles = jnp.einsum("eai,ie->ia", linear.turns, rows[:, :9])
-        interior = rows[:, 12:][:, np.array(o.columns, int)]
-        images, border = kept_product(linear.kept, x)
-        if d == 6 and q:
-            columns = q * o.image_camera[:, None] + jnp.arange(q)
-            border = border.at[columns].add(interior)
-        parts = [rows[:, 9:12], angles] + ([interior] if d > 6 else [])
-        images = images + jnp.concatenate(parts, 1) + damped.images * x.images
-        return only_free(KeptVector(images, border + damped.border * x.border))
+        of_rays = kept_rows(lax.psum(rows, axis) if axis else rows, linear.turns, p)
+        x_damped = KeptVector(damped.images * x.images, damped.border * x.border)
+        return only_free(kept_product(linear.kept, x).plus(1.0, of_rays).plus(1.0, x_damped))
 
     def precondition(r: KeptVector) -> KeptVector:
         images, border = solve(p.reduced, factor, r.images[..., None], r.border[:, None])
@@ -231,13 +236,14 @@ def device_mesh(devices: int) -> jax.sharding.Mesh:
     return jax.make_mesh((devices,), (AXIS,), axis_types=(jax.sharding.AxisType.Auto,))
 
 
-def local_tiles(tiles: Tiles) -> Tiles:
+def _pairs(tiles: tuple[Tiles, ...]) -> list[Array]:
+    """The lists of pairs: the only part of the tiles that all devices have in common."""
+    return [t.products.pair for t in tiles if t.products is not None]
+
+
+def local_tiles(tiles: tuple[Tiles, ...]) -> tuple[Tiles, ...]:
     """A device's own tiles: the leading axis, of length 1 there, taken off."""
-    return eqx.tree_at(
-        lambda t: t.pair,
-        jax.tree.map(lambda x: x[0], eqx.tree_at(lambda t: t.pair, tiles, tiles.pair[None])),
-        tiles.pair,
-    )
+    return eqx.tree_at(_pairs, jax.tree.map(lambda x: x[0], tiles), _pairs(tiles))
 
 
 def trial_step(unknowns: Arranged, p: Problem, damping: Float[Array, ""]) -> Trial:
@@ -268,7 +274,7 @@ def partition(unknowns: Arranged, linear: Linearised, p: Problem) -> tuple[Arran
     """How the arguments of a step lie on the devices: tiles parted, all else everywhere."""
     of_tiles: Any = PartitionSpec(None, AXIS)
     parts = jax.tree.map(lambda _: PartitionSpec(AXIS), p.tiles)
-    tiles = eqx.tree_at(lambda t: t.pair, parts, PartitionSpec())
+    tiles = eqx.tree_at(_pairs, parts, [PartitionSpec() for _ in _pairs(parts)])
     return (
         Arranged(_everywhere(unknowns.images), of_tiles),
         _everywhere(linear)._replace(prior=None if linear.prior is None else of_tiles),
@@ -322,25 +328,26 @@ def _whole_residuals(unknowns: Arranged, p: Problem) -> list[Array]:
 
 
 def weighted_residuals(unknowns: Arranged, p: Problem) -> list[Array]:
-    """Weighted residuals of all observations; cells first, 0 where there is no ray."""
-    o, tiles = p.observations, p.tiles
-    number = jnp.moveaxis(image_values(unknowns.images, o)[tiles.slot_image], -1, 0)[..., None]
+    """Weighted residuals of all observations; cells first, two arrays a part, 0 where there is no ray."""
+    values, cells = image_values(unknowns.images, p.observations), []
     first = unknowns.tiles.shape[1] // p.devices * jnp.arange(p.devices)[:, None, None]
-    x, y, z = unknowns.tiles[:, tiles.slot_tile + first]
-    v = image_equation(
-        o.model,
-        tuple(number[:9]),
-        (number[9], number[10], number[11]),
-        tuple(number[12:]),
-        (x, y, z),
-        (tiles.measured[:, :, 0], tiles.measured[:, :, 1]),
-    )
-    cells = [jnp.where(tiles.weights[:, :, k] > 0, v[k] * tiles.weights[:, :, k], 0.0) for k in range(2)]
+    for part in p.tiles:
+        number = jnp.moveaxis(values[part.slot_image], -1, 0)[..., None]
+        x, y, z = unknowns.tiles[:, part.slot_tile + first]
+        v = image_equation(
+            p.observations.model,
+            tuple(number[:9]),
+            (number[9], number[10], number[11]),
+            tuple(number[12:]),
+            (x, y, z),
+            (part.measured[:, :, 0], part.measured[:, :, 1]),
+        )
+        cells += [jnp.where(part.weights[:, :, k] > 0, v[k] * part.weights[:, :, k], 0.0) for k in range(2)]
     return [*cells, *_whole_residuals(unknowns, p)]
 
 
 def _noise(p: Problem) -> Float[Array, ""]:
     """v^T P v / 2 of residuals that are nothing but rounding: a few operations on image coordinates."""
-    eps = 4 * jnp.finfo(p.tiles.measured.dtype).eps
-    cells = jnp.sum((p.tiles.measured * p.tiles.weights) ** 2)
-    return 0.5 * eps**2 * (cells + jnp.sum((p.kept_rays.measured * p.kept_rays.weights) ** 2))
+    eps = 4 * jnp.finfo(p.kept_rays.measured.dtype).eps
+    rays = [(x.measured, x.weights) for x in (*p.tiles, p.kept_rays)]
+    return 0.5 * eps**2 * sum((jnp.sum((m * w) ** 2) for m, w in rays), jnp.zeros(()))

@@ -6,6 +6,7 @@ A dt is one forward derivative of the image equation along the step of the image
 is formed. The residuals before and after the step come out in the same pass.
 """
 
+from functools import partial
 from typing import NamedTuple
 
 import jax
@@ -21,7 +22,6 @@ from jaxbundle.normals.cells import Tiles, at_slots, chunk_of, points_at_cells, 
 from jaxbundle.normals.eliminate import FACTOR
 from jaxbundle.normals.point_blocks import PointFactor, backward, forward
 from jaxbundle.normals.rows import image_equation
-from jaxbundle.normals.tiles import MOST_TILES
 
 
 class Substituted(NamedTuple):
@@ -57,14 +57,14 @@ def substitute(
     points: Float[Array, "3 tile column"],
     factors: Float[Array, "tile numbers"],
     damping: Array,
-    tiles: Tiles,
+    tiles: tuple[Tiles, ...],
 ) -> Substituted:
     """All chunks of one device. `before`, `direction`, `after`: rows of `image_values` along the step of the images."""
     table = jnp.concatenate([before, direction, after], 1)
     width, n, model = before.shape[1], points.shape[2], observations.model
 
-    def do_chunk(c: Array, carry: Substituted) -> Substituted:
-        chunk = chunk_of(tiles, c)
+    def do_chunk(part: Tiles, c: Array, carry: Substituted) -> Substituted:
+        chunk = chunk_of(part, c)
         numbers = at_slots(table, chunk.slot_image)
         old, along, new = (split_values(numbers[k * width : (k + 1) * width]) for k in range(3))
         tile = chunk.first_tile + chunk.tile
@@ -72,12 +72,12 @@ def substitute(
         v, moved = jax.jvp(lambda r, x, i: image_equation(model, r, x, i, point, chunk.measured), old, along)
         _, transposed = jax.vjp(lambda p: image_equation(model, old[0], old[1], old[2], p, chunk.measured), point)
         (at_points,) = transposed(tuple(w * w * t for w, t in zip(chunk.weights, moved, strict=True)))
-        coupled = sum_by_tile(list(at_points), chunk.tile)
+        coupled = sum_by_tile(list(at_points), chunk)
 
         stored = chunk.window(factors)
         number = [stored[:, k * n : (k + 1) * n] for k in range(FACTOR)]
         factor, gradient, diagonal = PointFactor(*number[:6]), number[6:9], number[9:]
-        own = (jnp.arange(MOST_TILES) < chunk.tile_count)[:, None]
+        own = (jnp.arange(chunk.most_tiles) < chunk.tile_count)[:, None]
         x, y, z = (g + t for g, t in zip(gradient, coupled, strict=True))
         dx = [jnp.where(own, -d, 0.0) for d in backward(factor, forward(factor, (x, y, z)))]
         stepped = [chunk.window(x) + d for x, d in zip(carry.points, dx, strict=True)]
@@ -98,4 +98,7 @@ def substitute(
         )
 
     zero = jnp.zeros(())
-    return lax.fori_loop(0, tiles.chunks, do_chunk, Substituted(points, zero, zero, zero, zero, zero))
+    done = Substituted(points, zero, zero, zero, zero, zero)
+    for part in tiles:
+        done = lax.fori_loop(0, part.chunks, partial(do_chunk, part), done)
+    return done

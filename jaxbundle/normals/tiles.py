@@ -8,7 +8,8 @@ the same shape and the element-wise work on it is compiled once, whatever the tr
     cell     one ray: image slot s, column j -> ray[chunk, s, j], or -1
 
 Points are sorted along a space-filling curve through the bounding boxes of the projection centres that see them (Morton
-code of the box's four sides): points with equal boxes have nearly equal tracks.
+code of the box's four sides): points with equal boxes have nearly equal tracks. Points on more than SLOTS images have
+tiles of their own, see `long_tiles`.
 """
 
 from dataclasses import dataclass
@@ -29,21 +30,22 @@ CELLS_AT_ONCE = 200_000_000  # bounds the memory of the table of tiles and image
 
 @dataclass(frozen=True)
 class Tiling:
-    """Tiles of all points. Every device has the same number of chunks and of tiles, the last of them empty.
+    """Tiles of some points. Every device has the same number of chunks and of tiles, the last of them empty.
 
-    `place`: position of a point in (device, tile, column). `slot_image`: rank, or `images` for an empty slot.
-    `slot_tile`: tile within the device. `tile_class`: index into CLASSES. `chunks`, `tiles`: how many are used.
+    `point_tile`: device, tile and column of a point. `tile_slots`: device, chunk, first slot and slots of a tile.
+    `slot_image`: rank, or `images` for an empty slot. `slot_tile`: tile within the device. `chunks`: how many are used.
+    `most_tiles`: a chunk's. `group`: so many neighbouring slots from a multiple of it on belong to one tile.
     """
 
-    width: int
-    devices: int
-    place: Int[np.ndarray, " point"]
+    point_tile: Int[np.ndarray, "point 3"]
+    tile_slots: Int[np.ndarray, "tile 4"]
     slot_image: Int[np.ndarray, "device chunk slot"]
     slot_tile: Int[np.ndarray, "device chunk slot"]
-    tile_class: Int[np.ndarray, "device chunk"]
     ray: Int[np.ndarray, "device chunk slot width"]
     chunks: Int[np.ndarray, " device"]
     tiles: int
+    most_tiles: int
+    group: int
 
 
 def tile_width(rays: int) -> int:
@@ -60,21 +62,24 @@ def _spread(values: Int[np.ndarray, " n"]) -> Int[np.ndarray, " n"]:
     return table[low] | table[high] << np.uint64(32)
 
 
-def point_order(
-    image: Int[np.ndarray, " ray"], first: Int[np.ndarray, " point"], centres: Float[np.ndarray, "image 3"]
+def positions_along_curve(
+    image: Int[np.ndarray, " ray"], point: Int[np.ndarray, " ray"], points: int, centres: Float[np.ndarray, "image 3"]
 ) -> Int[np.ndarray, " point"]:
-    """Points along the curve. `image`: the images of point after point; `first`: where each point's begin."""
+    """Position of every point along the curve; rays sorted by point."""
+    first = np.searchsorted(point, np.arange(points))
     centred = centres - centres.mean(0)
     axes = np.linalg.svd(centred.T @ centred)[2][:2]
     plane = centred @ axes.T
     low, high = plane.min(0), plane.max(0)
     steps = ((plane - low) / (high - low + np.finfo(float).tiny) * (2**MORTON_BITS - 1)).astype(np.int32)
-    code = np.zeros(len(first), np.uint64)
+    code = np.zeros(points, np.uint64)
     for axis in range(2):
         of_ray = steps[image, axis]
         code |= _spread(np.minimum.reduceat(of_ray, first)) << np.uint64(axis)
         code |= _spread(np.maximum.reduceat(of_ray, first)) << np.uint64(2 + axis)
-    return np.argsort(code, kind="stable")
+    position = np.empty(points, np.int64)
+    position[np.argsort(code, kind="stable")] = np.arange(points)
+    return position
 
 
 def _cut(
@@ -112,7 +117,7 @@ def _columns(tile: Int[np.ndarray, " point"]) -> Int[np.ndarray, " point"]:
     return np.arange(len(tile)) - np.searchsorted(tile, tile)
 
 
-class _Entries(NamedTuple):
+class Entries(NamedTuple):
     """Tile and image of every pair with a ray, the number of each ray's image in its tile, images a tile."""
 
     tile: Int[np.ndarray, " entry"]
@@ -121,7 +126,7 @@ class _Entries(NamedTuple):
     counts: Int[np.ndarray, " tile"]
 
 
-def _number_images(tile: Int[np.ndarray, " ray"], image: Int[np.ndarray, " ray"], images: int, tiles: int) -> _Entries:
+def number_images(tile: Int[np.ndarray, " ray"], image: Int[np.ndarray, " ray"], images: int, tiles: int) -> Entries:
     """The images of every tile, numbered."""
     of_ray = np.empty(len(tile), np.int32)
     entries = []
@@ -137,35 +142,80 @@ def _number_images(tile: Int[np.ndarray, " ray"], image: Int[np.ndarray, " ray"]
         counts[start : start + count] = number[:, -1]
         t, i = np.nonzero(seen)
         entries.append((t + start, i))
-    return _Entries(np.concatenate([t for t, _ in entries]), np.concatenate([i for _, i in entries]), of_ray, counts)
+    return Entries(np.concatenate([t for t, _ in entries]), np.concatenate([i for _, i in entries]), of_ray, counts)
 
 
-def _deal(
-    kinds: Int[np.ndarray, " tile"], devices: int
-) -> tuple[list[list[int]], Int[np.ndarray, "tile 4"], list[int]]:
-    """Chunks of one class each, dealt to the devices in equal parts: class of each chunk; a tile's device, chunk, place
-    in the chunk and number on the device; tiles a device."""
-    classes: list[list[int]] = [[] for _ in range(devices)]
-    of_tile = np.empty((len(kinds), 4), np.int64)
-    used = [0] * devices
+class Places(NamedTuple):
+    """Where every tile lies: device, chunk, first slot and slots; its number on the device; chunks of the devices."""
+
+    tile_slots: Int[np.ndarray, "tile 4"]
+    number: Int[np.ndarray, " tile"]
+    chunks: Int[np.ndarray, " device"]
+
+
+def _deal(kinds: Int[np.ndarray, " tile"], devices: int) -> Places:
+    """Chunks of one class each, dealt to the devices in equal parts."""
+    tile_slots, number = np.empty((len(kinds), 4), np.int64), np.empty(len(kinds), np.int64)
+    used, dealt_chunks = [0] * devices, [0] * devices
     for kind, size in enumerate(CLASSES):
         tiles = np.nonzero(kinds == kind)[0]
         per_chunk = SLOTS // size
         chunks = -(-len(tiles) // per_chunk)
         # the device with the fewest chunks so far takes the odd one
-        order = sorted(range(devices), key=lambda g: len(classes[g]))
+        order = sorted(range(devices), key=lambda g: dealt_chunks[g])
         first = 0
         for turn, g in enumerate(order):
             mine = chunks // devices + (turn < chunks % devices)
             dealt = tiles[first * per_chunk : (first + mine) * per_chunk]
             first += mine
             k = np.arange(len(dealt))
-            of_tile[dealt] = np.stack(
-                [np.full_like(k, g), len(classes[g]) + k // per_chunk, k % per_chunk, used[g] + k], 1
-            )
+            chunk, slot = dealt_chunks[g] + k // per_chunk, k % per_chunk * size
+            tile_slots[dealt] = np.stack([np.full_like(k, g), chunk, slot, np.full_like(k, size)], 1)
+            number[dealt] = used[g] + k
             used[g] += len(dealt)
-            classes[g] += [kind] * mine
-    return classes, of_tile, used
+            dealt_chunks[g] += mine
+    return Places(tile_slots, number, np.array(dealt_chunks, np.int32))
+
+
+def laid_out(
+    tile: Int[np.ndarray, " position"],
+    position: Int[np.ndarray, " point"],
+    point: Int[np.ndarray, " ray"],
+    images: int,
+    width: int,
+    entries: Entries,
+    places: Places,
+    shape: tuple[int, int, int],
+    most_tiles: int,
+    group: int,
+) -> Tiling:
+    """Slots and cells of all tiles; `tile` of every position along the curve, `shape` of devices, chunks and slots."""
+    device, chunk, slot, size = places.tile_slots.T
+    first = (device * shape[1] + chunk) * shape[2] + slot
+    slot_image = np.full(shape, images, np.int32)
+    number = np.arange(len(entries.tile)) - np.repeat(np.cumsum(entries.counts) - entries.counts, entries.counts)
+    slot_image.ravel()[first[entries.tile] + number] = entries.image
+    slot_tile = np.zeros(shape, np.int32)
+    every = np.repeat(np.arange(len(size)), size)
+    within = np.arange(len(every)) - np.repeat(np.cumsum(size) - size, size)
+    slot_tile.ravel()[first[every] + within] = places.number[every]
+    slot_tile = np.maximum.accumulate(slot_tile, 2)  # slots behind the last tile of a chunk belong to it
+
+    column, of_ray = _columns(tile), position[point]
+    ray = np.full((*shape, width), -1, np.int32)
+    ray.ravel()[(first[tile[of_ray]] + entries.number) * width + column[of_ray]] = np.arange(len(point))
+    of_point = tile[position]
+    return Tiling(
+        np.stack([device[of_point], places.number[of_point], column[position]], 1),
+        places.tile_slots,
+        slot_image,
+        slot_tile,
+        ray,
+        places.chunks,
+        grid_size(int(places.number.max()) + 1 + most_tiles),  # a chunk is handled as if it had most tiles
+        most_tiles,
+        group,
+    )
 
 
 def tiling(
@@ -175,57 +225,21 @@ def tiling(
     images: int,
     centres: Float[np.ndarray, "image 3"],
     devices: int,
+    width: int,
 ) -> Tiling:
     """Tiles for rays sorted by point; every point has 1 to SLOTS rays. `image` and `centres` in elimination order."""
-    width = tile_width(len(image))
-    first = np.searchsorted(point, np.arange(points))
-    order = point_order(image, first, centres)
-    position = np.empty(points, np.int64)
-    position[order] = np.arange(points)
+    position = positions_along_curve(image, point, points, centres)
     of_ray = position[point]
-    tile_of = _cut(of_ray, image, images, points, width)
+    tile = _cut(of_ray, image, images, points, width)
     for narrow in (width // CUTS, 1):  # tiles that see too many images are split up
-        entries = _number_images(tile_of[of_ray], image, images, int(tile_of[-1]) + 1)
+        entries = number_images(tile[of_ray], image, images, int(tile[-1]) + 1)
         wide = entries.counts > SLOTS
         if not wide.any():
             break
-        split = tile_of * width + np.where(wide[tile_of], _columns(tile_of) // narrow, 0)
-        tile_of = np.unique(split, return_inverse=True)[1]
+        split = tile * width + np.where(wide[tile], _columns(tile) // narrow, 0)
+        tile = np.unique(split, return_inverse=True)[1]
     else:
-        entries = _number_images(tile_of[of_ray], image, images, int(tile_of[-1]) + 1)
-    tile, column, tiles, counts = tile_of[of_ray], _columns(tile_of), len(entries.counts), entries.counts
-    kinds = np.searchsorted(CLASSES, counts)
-    classes, of_tile, used = _deal(kinds, devices)
-    device, chunk, place, local = of_tile.T
-    chunks = np.array([len(c) for c in classes], np.int32)
-    shape = devices, grid_size(int(chunks.max())), SLOTS
-    size = np.array(CLASSES)[kinds]
-
-    slot_image = np.full(shape, images, np.int32)
-    number = np.arange(len(entries.tile)) - np.repeat(np.cumsum(counts) - counts, counts)
-    slot_image[device[entries.tile], chunk[entries.tile], (place * size)[entries.tile] + number] = entries.image
-    slot_tile = np.zeros(shape, np.int32)
-    every = np.repeat(np.arange(tiles), size)
-    within = np.arange(len(every)) - np.repeat(np.cumsum(size) - size, size)
-    slot_tile[device[every], chunk[every], (place * size)[every] + within] = local[every]
-    slot_tile = np.maximum.accumulate(slot_tile, 2)  # slots behind the last tile of a chunk belong to it
-
-    ray = np.full((*shape, width), -1, np.int32)
-    cell = ((device[tile] * shape[1] + chunk[tile]) * SLOTS + (place * size)[tile] + entries.number) * width
-    ray.ravel()[cell + column[of_ray]] = np.arange(len(image))
-    tile_class = np.zeros(shape[:2], np.int32)
-    for g in range(devices):
-        tile_class[g, : chunks[g]] = classes[g]
-    tiles_padded = grid_size(max(used) + MOST_TILES)  # a chunk is handled as if it had most tiles
-    of_point = tile_of[position]
-    return Tiling(
-        width,
-        devices,
-        (device[of_point] * tiles_padded + local[of_point]) * width + column[position],
-        slot_image,
-        slot_tile,
-        tile_class,
-        ray,
-        chunks,
-        tiles_padded,
-    )
+        entries = number_images(tile[of_ray], image, images, int(tile[-1]) + 1)
+    places = _deal(np.searchsorted(CLASSES, entries.counts), devices)
+    shape = devices, grid_size(int(places.chunks.max())), SLOTS
+    return laid_out(tile, position, point, images, width, entries, places, shape, MOST_TILES, 1)

@@ -1,5 +1,6 @@
 """`adjust`: a block in, its adjustment out."""
 
+import dataclasses
 import importlib
 from collections.abc import Callable
 from pathlib import Path
@@ -25,6 +26,7 @@ from jaxbundle.solve import levenberg_marquardt as solver
 from jaxbundle.solve.adjustment import Adjustment, Iterations, Status
 from jaxbundle.solve.answer import adjustment
 from jaxbundle.solve.checkpoint import Keeper, fingerprint
+from jaxbundle.solve.free_network import constrained, freed
 from jaxbundle.solve.levenberg_marquardt import Arguments, BundleSolver, State
 from jaxbundle.solve.robust import AbstractWeightFunction, Solve, adjust_robustly
 from jaxbundle.solve.search import DampedSearch, FullStep
@@ -89,7 +91,6 @@ def adjust(
     if block.concrete:
         require_valid(block)
     wanted = _Wanted(method, stop or AngleRule(), max_iterations, engine, reduced, devices, progress)
-    block = with_datum(block)
     if robust is None:
         return _least_squares(block, wanted, precision, checkpoint)
     if checkpoint is not None:
@@ -113,7 +114,8 @@ class _Wanted(NamedTuple):
 
 
 def _least_squares(block: Block, wanted: _Wanted, precision: bool, checkpoint: Path | None) -> Adjustment:
-    """One adjustment of a block whose datum is chosen."""
+    """One adjustment."""
+    block = with_datum(block)
     method, rule = wanted.method, wanted.rule
     origin = jax.lax.stop_gradient(on_host(block.exterior.projection_centre).mean(0))
     centred = block.moved(-origin)
@@ -135,6 +137,9 @@ def _least_squares(block: Block, wanted: _Wanted, precision: bool, checkpoint: P
             arranged, iterations = _step_by_step(run, wanted.progress, keeper)
         else:
             arranged, iterations = _in_one(run)
+    if block.structure.datum.kind == "inner":
+        arranged = arranged_unknowns(plan, constrained(centred, restored_unknowns(plan, arranged)))
+        block = dataclasses.replace(block, structure=freed(block.structure))
     return adjustment(
         block, plan, arguments.problem, arranged, iterations, origin, rule.name, method, precision, optimised
     )

@@ -17,8 +17,9 @@ from jaxbundle.normals.arrange import Arranged, Arrangement, Problem, restored_r
 from jaxbundle.normals.cofactors import Cofactors, cofactors
 from jaxbundle.normals.step import weighted_residuals
 from jaxbundle.numerics.compilation import Compiled
-from jaxbundle.numerics.host import is_concrete, on_device, on_host
+from jaxbundle.numerics.host import array_module, is_concrete, on_device, on_host
 from jaxbundle.solve.adjustment import Adjustment, BlockCofactors, Iterations
+from jaxbundle.solve.free_network import InnerCofactors, inner_cofactors_of
 from jaxbundle.solve.undetermined import undetermined_unknowns
 
 
@@ -28,7 +29,7 @@ class Answer(NamedTuple):
     angles: Float[Array, "3 image"]
     residuals: list[Array]
     cofactors: Cofactors | None
-    exterior: Float[Array, "image 6 6"] | None
+    to_user: Float[Array, "image 6 6"] | None  # the user's angles from those of the corrections
 
 
 @Compiled
@@ -42,8 +43,7 @@ def _answer(arranged: Arranged, problem: Problem, reference: Float[Array, "3 ima
     q = cofactors(arranged, problem)
     turned = angle_derivatives(matrix, o.in_angles, reference, o.system).transpose(2, 0, 1)
     to_user = jnp.zeros((matrix.shape[1], 6, 6)).at[:, :3, :3].set(jnp.eye(3)).at[:, 3:, 3:].set(turned)
-    exterior = jnp.einsum("iab,ibc,idc->iad", to_user, q.images[:, :6, :6], to_user)
-    return Answer(angles, residuals, q, exterior)
+    return Answer(angles, residuals, q, to_user)
 
 
 def adjustment(
@@ -64,7 +64,10 @@ def adjustment(
     weighted, residuals = _residuals(block, plan, problem, answer.residuals)
     blocks, weak = None, ()
     if answer.cofactors is not None:
-        blocks = _cofactors(block, plan, answer)
+        inner = None
+        if block.structure.datum.kind == "inner":
+            inner = inner_cofactors_of(block.structure, plan, arranged, problem, answer.cofactors, optimised)
+        blocks = _cofactors(block, plan, answer, inner)
         weak = undetermined_unknowns(block.structure, plan, answer.cofactors) if block.concrete else ()
     adjusted = _adjusted(block, plan, arranged, answer.angles, origin)
     return Adjustment(adjusted, residuals, weighted, blocks, iterations, rule, method, plan.method, weak)
@@ -74,9 +77,10 @@ def _residuals(
     block: Block, plan: Arrangement, problem: Problem, weighted: list[Array]
 ) -> tuple[tuple[Array, ...], tuple[Array, ...]]:
     """Weighted and unweighted residuals, a table for the rays and for every group; 0 where nothing is observed."""
-    kept = 2 if problem.kept_rays.image.shape[0] else 0
-    rays = restored_rays(plan, weighted[:2], weighted[2 : 2 + kept])
-    tables = [rays, *(on_device(on_host(v).T) for v in weighted[2 + kept :])]
+    cells = 2 * len(problem.tiles)
+    groups = cells + (2 if problem.kept_rays.image.shape[0] else 0)
+    rays = restored_rays(plan, weighted[:cells], weighted[cells:groups])
+    tables = [rays, *(on_device(on_host(v).T) for v in weighted[groups:])]
     unweighted = [on_device(on_host(rays) * on_host(block.rays.sigmas))]
     unweighted += [group.unweighted(v) for group, v in zip(block.groups, tables[1:], strict=True)]
     return tuple(tables), tuple(unweighted)
@@ -105,13 +109,15 @@ def _adjusted(
     )
 
 
-def _cofactors(block: Block, plan: Arrangement, answer: Answer) -> BlockCofactors:
-    """Cofactors in the order of the block."""
+def _cofactors(block: Block, plan: Arrangement, answer: Answer, inner: InnerCofactors | None) -> BlockCofactors:
+    """Cofactors in the order of the block; `inner`: those of a free network in place of those of its minimal datum."""
     structure, shape, q = block.structure, plan.shape, answer.cofactors
     assert q is not None
-    concrete = is_concrete((answer.exterior, q.points))
-    xp = np if concrete else jnp
-    exterior = on_host(answer.exterior)[plan.order.image]
+    xp = array_module((answer.to_user, q.points))
+    to_user, small = (
+        on_host(x)[plan.order.image] for x in (answer.to_user, inner.images if inner else q.images[:, :6, :6])
+    )
+    exterior = to_user @ small @ to_user.transpose(0, 2, 1)
 
     elements, columns = block.interior.elements.shape[1], np.array(structure.interior_columns, int)
     cameras, count = len(structure.cameras), len(columns)
@@ -128,5 +134,8 @@ def _cofactors(block: Block, plan: Arrangement, answer: Answer) -> BlockCofactor
     at = shape.first_kept_point + 3 * np.arange(shape.kept)[:, None] + np.arange(3)
     kept = border[at[:, :, None], at[:, None, :]]
     inside = slice(shape.first_parameter, shape.first_parameter + plan.order.parameters)
-    points = xp.concatenate([on_host(q.points).transpose(2, 3, 0, 1).reshape(-1, 3, 3), kept])[plan.order.point]
+    eliminated = q.points
+    if inner:
+        kept, eliminated = on_host(inner.kept_points), inner.points
+    points = xp.concatenate([on_host(eliminated).transpose(2, 3, 0, 1).reshape(-1, 3, 3), kept])[plan.order.point]
     return BlockCofactors(*map(on_device, (exterior, interior, points, border[inside, inside])))

@@ -1,0 +1,191 @@
+"""Points on more images than an ordinary tile has slots are eliminated like all others."""
+
+import equinox as eqx
+import jax
+import jax.numpy as jnp
+import numpy as np
+import pytest
+from dense import System, centred, dense_cofactors, dense_step, dense_system, difference, free_values, sizes
+from test_devices import step
+from test_elimination import block_steps, with_private_cameras
+
+from jaxbundle.block.block import Block, CheckPoints, ExteriorOrientation, InteriorOrientation, Rays, Structure
+from jaxbundle.block.observations import CONTROL, STATIONS, observation_group
+from jaxbundle.normals.arrange import arrange
+from jaxbundle.normals.tiles import SLOTS
+from jaxbundle.planning.flight import AerialCamera
+from jaxbundle.planning.simulate import exact_coordinates, simulate
+from jaxbundle.solve.adjust import adjust
+
+HEIGHT = 1500.0
+CAMERA = AerialCamera(principal_distance=100.0, width=104.0, height=68.0, pixel_size=0.006, offset=(0.05, -0.03))
+INTERIOR = ("principal_distance", "x0", "y0")
+DAMPINGS = (1e-12, 1e-2)
+
+
+def block_of(tracks: list[np.ndarray], images: int, free: tuple[str, ...], seed: int = 0) -> Block:
+    """Images in rows over one small piece of ground, point k seen on the images `tracks[k]`.
+
+    Rays in random order with random weights, observed stations, weighted control on every fourth point, approximate
+    values off the truth.
+    """
+    rng = np.random.default_rng(seed)
+    template = simulate(1, 2, camera=CAMERA).truth
+    ray_image = np.concatenate(tracks).astype(np.int32)
+    ray_point = np.repeat(np.arange(len(tracks)), [len(track) for track in tracks]).astype(np.int32)
+    mixed = rng.permutation(len(ray_image))
+    k = np.arange(images)
+    centres = np.stack([40.0 * (k % 12), 40.0 * (k // 12), np.full(images, HEIGHT)], 1) + rng.normal(0, 5, (images, 3))
+    angles = rng.normal(0, 0.2, (images, 3)) + np.array([0.0, 0.0, 1.0]) * rng.uniform(-3, 3, (images, 1))
+    extent = centres.max(0)[:2]
+    points = np.concatenate([rng.uniform(0, extent, (len(tracks), 2)), rng.uniform(-400, 400, (len(tracks), 1))], 1)
+    elements = template.structure.cameras[0].model.elements
+    structure = Structure(
+        "long tracks",
+        template.structure.cameras,
+        tuple(f"image {i}" for i in k),
+        tuple(f"point {p}" for p in range(len(tracks))),
+        np.zeros(images, np.int32),
+        ray_image[mixed],
+        ray_point[mixed],
+        np.ones((images, 6), bool),
+        np.array([[element in free for element in elements]]),
+        np.ones((len(tracks), 3), bool),
+        np.zeros(0, np.int64),
+    )
+    sigmas = rng.uniform(0.2, 1.0, (len(mixed), 2))
+    known = np.arange(0, len(tracks), 4)
+    block = Block(
+        structure,
+        ExteriorOrientation(jnp.asarray(centres), jnp.asarray(angles)),
+        InteriorOrientation(template.interior.elements),
+        jnp.asarray(points),
+        Rays(jnp.zeros(sigmas.shape), jnp.asarray(sigmas)),
+        (
+            observation_group(CONTROL, known[:, None], points[known], np.full((len(known), 3), 0.05)),
+            observation_group(STATIONS, k[:, None], centres, np.full((images, 3), 0.1)),
+        ),
+        CheckPoints(jnp.zeros((0, 3)), jnp.zeros((0, 3))),
+    )
+    coordinates = exact_coordinates(block)[0] + sigmas * rng.normal(size=sigmas.shape)
+    return eqx.tree_at(
+        lambda b: (b.rays.coordinates, b.object_points, b.exterior.projection_centre, b.exterior.angles),
+        block,
+        tuple(
+            jnp.asarray(x)
+            for x in (
+                coordinates,
+                points + rng.normal(0, 1.0, points.shape),
+                centres + rng.normal(0, 1.0, centres.shape),
+                angles + rng.normal(0, 1e-3, angles.shape),
+            )
+        ),
+    )
+
+
+def mixed_tracks(images: int, seed: int = 1) -> list[np.ndarray]:
+    """Points on nearly all images, on 49 to 64 neighbouring ones, and on few: tiles of 64, 96 and 128 slots."""
+    rng = np.random.default_rng(seed)
+    tracks = [np.flatnonzero(rng.random(images) < 0.95) for _ in range(4)]
+    for _ in range(20):
+        length = rng.integers(SLOTS + 1, 65)
+        first = rng.integers(0, images - length)
+        tracks.append(first + np.arange(length))
+    for _ in range(40):
+        first = rng.integers(0, images - 8)
+        tracks.append(first + np.flatnonzero(rng.permutation(8) < 4))
+    return [tracks[k] for k in rng.permutation(len(tracks))]
+
+
+BLOCKS = {
+    "shared camera": lambda: block_of(mixed_tracks(100), 100, INTERIOR),
+    "private cameras": lambda: with_private_cameras(block_of(mixed_tracks(100), 100, INTERIOR)),
+}
+
+
+@pytest.fixture(scope="module", params=[pytest.param(name, marks=pytest.mark.xdist_group(name)) for name in BLOCKS])
+def block(request) -> Block:
+    return BLOCKS[request.param]()
+
+
+@pytest.fixture(scope="module")
+def expected(block) -> tuple[System, list[np.ndarray]]:
+    """The dense equations, and their step at every damping."""
+    system = dense_system(*centred(block))
+    return system, [dense_step(system, damping) for damping in DAMPINGS]
+
+
+@pytest.mark.parametrize("method", ["dense", "panels", "pcg"])
+def test_steps(block, expected, method):
+    unknowns, observations = centred(block)
+    system, steps = expected
+    assert len(system.lengths) == block.structure.unknowns
+    rounding = np.finfo(float).eps * np.linalg.norm(system.lengths * sizes(unknowns, observations))
+    for damping, dense, stepped in zip(DAMPINGS, steps, block_steps(block, DAMPINGS, method, 1), strict=True):
+        off = difference(unknowns, stepped, observations) - dense
+        assert np.linalg.norm(system.lengths * off) < 1e-10 * np.linalg.norm(system.lengths * dense) + rounding, damping
+
+
+def test_converges_with_the_standard_deviations_of_the_dense_equations(block):
+    adjustment = adjust(block)
+    assert adjustment.trustworthy
+    unknowns, observations = centred(adjustment.block)
+    dense = float(adjustment.sigma0) * np.sqrt(np.diagonal(dense_cofactors(unknowns, observations)))
+    sd = adjustment.standard_deviations
+    found = free_values(
+        sd.projection_centre.T, sd.angles.T, sd.interior.T, sd.parameters, sd.object_points.T, observations
+    )
+    np.testing.assert_allclose(found, dense, rtol=1e-9)
+
+
+def test_two_devices_take_the_same_step():
+    block = BLOCKS["shared camera"]()
+    one, unknowns = step(block, 1)
+    other, moved = step(block, 2)
+    for name in ("cost", "reduction", "predicted", "moved"):
+        np.testing.assert_allclose(getattr(other, name), getattr(one, name), rtol=1e-12)
+    for a, b in zip(jax.tree.leaves(moved), jax.tree.leaves(unknowns), strict=True):
+        np.testing.assert_allclose(a, b, rtol=1e-12, atol=1e-12 * float(jnp.abs(b).max()))
+
+
+def test_a_point_on_every_one_of_many_images():
+    """A strip with one such point, whose elimination makes the reduced matrix full."""
+    images, rng = 300, np.random.default_rng(2)
+    tracks = [i + np.flatnonzero(rng.permutation(6) < 4) for i in range(images - 5) for _ in range(2)]
+    block = block_of([*tracks, np.arange(images)], images, ())
+    trial, _ = step(block, 2)
+    assert trial.finite
+    assert float(trial.reduction) == pytest.approx(float(trial.predicted), rel=0.01)
+
+
+@pytest.mark.parametrize(
+    ("tracks", "slots"),
+    [
+        ([range(3), range(SLOTS)], [SLOTS]),
+        ([range(SLOTS + 1), range(3)], [SLOTS, 64]),
+        ([range(SLOTS + 1), range(20, 100)], [96]),
+        ([*[range(100)] * 3, *[range(k, k + 55) for k in range(45)]], [128]),
+    ],
+    ids=["short", "both", "long", "many"],
+)
+@pytest.mark.parametrize("devices", [1, 2])
+def test_every_ray_has_one_cell(tracks, slots, devices):
+    """And there are chunks of long tracks only where there are long tracks."""
+    block = block_of([np.array(track) for track in tracks], 100, ())
+    structure = block.structure
+    plan = arrange(structure, block.groups, np.asarray(block.exterior.projection_centre), devices)
+    assert [part.tiling.slot_image.shape[2] for part in plan.parts] == slots
+    assert len(plan.kept) == 0
+    assert len(np.unique(plan.order.point)) == len(tracks) and plan.order.point.max() < plan.places
+    found, total = [], sum(part.tiling.tiles for part in plan.parts)
+    for part in plan.parts:
+        tiling = part.tiling
+        device, chunk, slot, column = np.nonzero(tiling.ray >= 0)
+        ray = part.rays[tiling.ray[device, chunk, slot, column]]
+        assert np.all(chunk < tiling.chunks[device])
+        place = (device * total + tiling.slot_tile[device, chunk, slot]) * plan.shape.width + column
+        np.testing.assert_array_equal(place, plan.order.point[structure.ray_point[ray]])
+        image = tiling.slot_image[device, chunk, slot]
+        np.testing.assert_array_equal(image, plan.order.image[structure.ray_image[ray]])
+        found.append(ray)
+    np.testing.assert_array_equal(np.sort(np.concatenate(found)), np.arange(len(structure.ray_image)))
