@@ -150,3 +150,15 @@ def test_standard_deviations(block):
         (exterior, columns, np.asarray(sd.parameters), np.asarray(sd.object_points)), held, strict=True
     ):
         assert not values[~free].any()  # what is held has none
+
+
+def test_redundancy_numbers(block):
+    """Each is 1 less the leverage of its row, and they sum to the redundancy."""
+    adjustment = adjust(block, method="gauss-newton")
+    system = dense_system(*centred(adjustment.block))
+    leverages = np.sum(np.linalg.qr(system.design / system.lengths)[0] ** 2, 1)
+    assert adjustment.redundancy_numbers is not None
+    found = np.concatenate([np.asarray(r).T.ravel() for r in adjustment.redundancy_numbers])
+    observed = system.design.any(1)
+    np.testing.assert_allclose(found[observed], 1 - leverages[observed], atol=1e-9)
+    assert found.sum() == pytest.approx(adjustment.redundancy, rel=1e-9)

@@ -69,6 +69,18 @@ def test_standard_deviations(block, reported):
     np.testing.assert_allclose(found, expected, rtol=1e-8)
 
 
+def test_redundancy_numbers_are_those_of_the_dense_equations(reported):
+    unknowns, observations = centred(reported.block)
+    design = dense_system(unknowns, observations).design
+    leverages = 1 - np.sum(np.linalg.qr(design / np.linalg.norm(design, axis=0))[0] ** 2, 1)
+    found = np.concatenate([np.asarray(r).T.ravel() for r in reported.redundancy_numbers])
+    mask = [np.ones(reported.residuals[0].shape), *(g.structure.observed for g in reported.block.groups)]
+    observed = np.concatenate([np.asarray(m, bool).T.ravel() for m in mask])
+    np.testing.assert_allclose(found[observed], leverages[observed], atol=1e-9)
+    assert not found[~observed].any()
+    assert found.sum() == pytest.approx(reported.redundancy, rel=1e-9)
+
+
 def test_scatter_is_the_reported_covariance(block, reported):
     """All unknowns together, 500 adjustments in one program: e^T Q^-1 e and v^T P v follow their chi-squares."""
 

@@ -136,6 +136,9 @@ def test_converges_with_the_standard_deviations_of_the_dense_equations(block):
         sd.projection_centre.T, sd.angles.T, sd.interior.T, sd.parameters, sd.object_points.T, observations
     )
     np.testing.assert_allclose(found, dense, rtol=1e-9)
+    assert adjustment.redundancy_numbers is not None
+    numbers = sum(float(r.sum()) for r in adjustment.redundancy_numbers)
+    np.testing.assert_allclose(numbers, adjustment.redundancy, rtol=1e-9)
 
 
 def test_two_devices_take_the_same_step():

@@ -39,7 +39,7 @@ class KeptSums(NamedTuple):
     pool: Float[Array, "pair d d"] | None
 
 
-class _Touched(NamedTuple):
+class Touched(NamedTuple):
     """Rows (component, parameter, member) of one touched entity: in an image's block or in columns of the border."""
 
     rows: Float[Array, "component parameter member"]
@@ -60,7 +60,7 @@ def no_sums(images: int, d: int, border: int, pool: int | None) -> KeptSums:
 
 
 def add_rows(
-    sums: KeptSums, touched: list[_Touched], residuals: Float[Array, "component member"], pairs: Array | None
+    sums: KeptSums, touched: list[Touched], residuals: Float[Array, "component member"], pairs: Array | None
 ) -> KeptSums:
     """Adds observations. `pairs`: the pool's block of the first two touched images, where they are two."""
     for i, a in enumerate(touched):
@@ -98,22 +98,22 @@ def _first_column(kind: str, index: Array, shape: Shape, point_column: Array) ->
     return shape.first_parameter + index if kind == "parameter" else shape.shared * index
 
 
-def _touched_by_group(
+def touched_by_group(
     group: Group, rows: GroupRows, shape: Shape, point_column: Array, camera_image: Array
-) -> list[_Touched]:
+) -> list[Touched]:
     """Where the rows of a group belong; all that goes into the border goes as one."""
     touched, border = [], []
     for kind, index, row in zip(group.kind.touches, group.indices, rows.rows, strict=True):
         if kind == "image":
-            touched.append(_Touched(_padded_rows(row, 0, shape.image), False, index))
+            touched.append(Touched(_padded_rows(row, 0, shape.image), False, index))
         elif kind == "camera" and not shape.shared:
-            touched.append(_Touched(_padded_rows(row, 6, shape.image), False, camera_image[index]))
+            touched.append(Touched(_padded_rows(row, 6, shape.image), False, camera_image[index]))
         else:
             first = _first_column(kind, index, shape, point_column)
             border.append((row, first[:, None] + jnp.arange(row.shape[1])))
     if border:
         rows_there, columns = zip(*border, strict=True)
-        touched.append(_Touched(jnp.concatenate(rows_there, 1), True, jnp.concatenate(columns, 1)))
+        touched.append(Touched(jnp.concatenate(rows_there, 1), True, jnp.concatenate(columns, 1)))
     return touched
 
 
@@ -131,7 +131,7 @@ def add_group(
 ) -> tuple[KeptSums, Array | None]:
     """Adds a group of observations; what touches one eliminated point only goes into `prior` (9, place)."""
     rows = group_rows(group, unknowns, turns, observations.columns)
-    sums = add_rows(sums, _touched_by_group(group, rows, shape, point_column, camera_image), rows.residuals, pairs)
+    sums = add_rows(sums, touched_by_group(group, rows, shape, point_column, camera_image), rows.residuals, pairs)
     if group.kind.touches == ("point",) and prior is not None:
         b = rows.rows[0]
         terms = [jnp.sum(b[:, i] * b[:, j], 0) for i, j in PAIRS]
@@ -151,6 +151,17 @@ def add_kept_rays(
     """Adds the rays of kept points; `unknowns.points` are the kept points."""
     if rays.image.shape[0] == 0:
         return sums
+    return add_rows(sums, *kept_ray_rows(rays, unknowns, turns, observations, shape), None)
+
+
+def kept_ray_rows(
+    rays: KeptRays,
+    unknowns: Unknowns,
+    turns: Float[Array, "9 3 image"],
+    observations: Observations,
+    shape: Shape,
+) -> tuple[list[Touched], Float[Array, "2 ray"]]:
+    """Weighted rows and residuals of the rays of kept points."""
     turn = turns[:, :, rays.image]
     camera = observations.image_camera[rays.image]
     centre = tuple(unknowns.centre[:, rays.image])
@@ -176,10 +187,10 @@ def add_kept_rays(
     of_point = jnp.stack([jnp.stack(row) for row in rows.point])
     first = shape.first_kept_point + 3 * rays.point
     touched = [
-        _Touched(of_image[:, : shape.image], False, rays.image),
-        _Touched(of_point, True, first[:, None] + jnp.arange(3)),
+        Touched(of_image[:, : shape.image], False, rays.image),
+        Touched(of_point, True, first[:, None] + jnp.arange(3)),
     ]
     if shape.shared:
         columns = shape.shared * camera[:, None] + jnp.arange(shape.shared)
-        touched.append(_Touched(of_image[:, shape.image :], True, columns))
-    return add_rows(sums, touched, jnp.stack(rows.residual), None)
+        touched.append(Touched(of_image[:, shape.image :], True, columns))
+    return touched, jnp.stack(rows.residual)

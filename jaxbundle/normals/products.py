@@ -1,4 +1,4 @@
-"""Products of a tile's E with itself: E E^T into the pool, and E^T T E with blocks of the pool.
+"""Products of a tile's E: with itself, E E^T into the pool, and with blocks of the pool, (T + T^T) E.
 
 Which block of the pool belongs to a pair of slots is looked up in lists the host has made. Tiles of a few slots are
 multiplied in one piece, with a loop for every size; those of long tracks in groups of slots against groups of slots,
@@ -15,7 +15,7 @@ import numpy as np
 from jax import lax
 from jaxtyping import Array, Float, Int
 
-from jaxbundle.normals.tiles import CLASSES, MOST_TILES, SLOTS, Tiling
+from jaxbundle.normals.tiles import CLASSES, SLOTS, Tiling
 from jaxbundle.numerics.host import on_device
 from jaxbundle.numerics.shapes import grid_size
 
@@ -40,10 +40,10 @@ class AbstractProducts(eqx.Module):
         """The pool with E E^T of all `tiles` tiles of chunk `c` added."""
 
     @abc.abstractmethod
-    def quadratic(
+    def applied(
         self, lower: Float[Array, "pair d d"], coupling: Float[Array, "slot number"], c: Array, tiles: Array
-    ) -> Float[Array, "tile 3 3 column"]:
-        """E^T T E of all tiles of chunk `c`, for a T that the pool `lower` holds."""
+    ) -> Float[Array, "slot number"]:
+        """(T + T^T) E of all tiles of chunk `c`, tile by tile, for a T that the pool `lower` holds."""
 
 
 class ClassProducts(AbstractProducts):
@@ -74,23 +74,24 @@ class ClassProducts(AbstractProducts):
             pool = lax.fori_loop(0, jnp.where(kind == k, tiles, 0), add_tiles(size), pool)
         return pool
 
-    def quadratic(
+    def applied(
         self, lower: Float[Array, "pair d d"], coupling: Float[Array, "slot number"], c: Array, tiles: Array
-    ) -> Float[Array, "tile 3 3 column"]:
+    ) -> Float[Array, "slot number"]:
         """One loop a class, of which one turns."""
         kind, offset = (lax.dynamic_index_in_dim(x, c, 0, False) for x in (self.tile_class, self.pair_offset))
-        d, n = lower.shape[1], coupling.shape[1] // (3 * lower.shape[1])
+        d = lower.shape[1]
 
         def of_tiles(size: int):
             def one(t: Array, store: Array) -> Array:
-                e = lax.dynamic_slice_in_dim(coupling, t * size, size, 0).reshape(size * d, 3 * n)
+                e = lax.dynamic_slice_in_dim(coupling, t * size, size, 0).reshape(size * d, -1)
                 block = lax.dynamic_slice_in_dim(self.pair, offset + t * size * size, size * size, 0)
-                m = _quadratic_form(e, jnp.take(lower, block, axis=0, mode="clip"), e, size)
-                return lax.dynamic_update_slice_in_dim(store, m, t, 0)
+                matrix = _matrix(jnp.take(lower, block, axis=0, mode="clip"), size)
+                product = (matrix + matrix.T) @ e
+                return lax.dynamic_update_slice_in_dim(store, product.reshape(size, -1), t * size, 0)
 
             return one
 
-        store = jnp.zeros((MOST_TILES, 3, 3, n))
+        store = jnp.zeros_like(coupling)
         for k, size in enumerate(CLASSES):
             store = lax.fori_loop(0, jnp.where(kind == k, tiles, 0), of_tiles(size), store)
         return store
@@ -126,19 +127,22 @@ class GroupProducts(AbstractProducts):
         first = self.first[c]
         return lax.fori_loop(first, first + self.count[c], add, pool)
 
-    def quadratic(
+    def applied(
         self, lower: Float[Array, "pair d d"], coupling: Float[Array, "slot number"], c: Array, tiles: Array
-    ) -> Float[Array, "tile 3 3 column"]:
-        """One product after the other."""
-        d, n = lower.shape[1], coupling.shape[1] // (3 * lower.shape[1])
+    ) -> Float[Array, "slot number"]:
+        """One product after the other, each used for its own rows and, transposed, for its columns."""
+        d = lower.shape[1]
 
         def add(p: Array, store: Array) -> Array:
             left, right, block = self._operands(coupling, p, d)
-            m = _quadratic_form(left, jnp.take(lower, block, axis=0, mode="clip"), right, self.group)
-            return store.at[self.tile[p]].add(m[0])
+            matrix = _matrix(jnp.take(lower, block, axis=0, mode="clip"), self.group)
+            for start, product in ((self.row[p], matrix @ right), (self.column[p], matrix.T @ left)):
+                own = lax.dynamic_slice_in_dim(store, start, self.group, 0)
+                store = lax.dynamic_update_slice_in_dim(store, own + product.reshape(self.group, -1), start, 0)
+            return store
 
         first = self.first[c]
-        return lax.fori_loop(first, first + self.count[c], add, jnp.zeros((self.most_tiles, 3, 3, n)))
+        return lax.fori_loop(first, first + self.count[c], add, jnp.zeros_like(coupling))
 
     def _operands(self, coupling: Array, p: Array, d: int) -> tuple[Array, Array, Array]:
         """Both groups of rows of a product, and the blocks of their pairs."""
@@ -155,12 +159,10 @@ def _blocks(left: Float[Array, "row k"], right: Float[Array, "row k"], slots: in
     return product.reshape(slots, d, slots, d).transpose(0, 2, 1, 3).reshape(slots * slots, d, d)
 
 
-def _quadratic_form(left: Array, blocks: Array, right: Array, slots: int) -> Float[Array, "1 3 3 column"]:
-    """E^T T E, T given by the blocks of the pairs of slots."""
+def _matrix(blocks: Float[Array, "pair d d"], slots: int) -> Float[Array, "row row"]:
+    """T of some slots by as many, in one piece."""
     d = blocks.shape[1]
-    matrix = blocks.reshape(slots, slots, d, d).transpose(0, 2, 1, 3).reshape(slots * d, slots * d)
-    left, product = (x.reshape(1, slots * d, 3, -1) for x in (left, matrix @ right))
-    return contracted(left, product)
+    return blocks.reshape(slots, slots, d, d).transpose(0, 2, 1, 3).reshape(slots * d, slots * d)
 
 
 def contracted(

@@ -85,13 +85,15 @@ class Reweighting(eqx.Module):
 class Adjustment(eqx.Module):
     """An adjusted block. `residuals`: rays first (unit of the rays, y up), then every group of `block.groups`.
 
-    `cofactors` is None where no standard deviations were asked for. A pytree: jit, grad and vmap go through it.
+    `redundancy_numbers` are laid out alike. They and `cofactors` are None where no standard deviations were asked for.
+    A pytree: jit, grad and vmap go through it.
     """
 
     block: Block
     residuals: tuple[Float[Array, "_member _component"], ...]
     weighted_residuals: tuple[Float[Array, "_member _component"], ...]
     cofactors: BlockCofactors | None
+    redundancy_numbers: tuple[Float[Array, "_member _component"], ...] | None
     iterations: Iterations
     stopping_rule: str = eqx.field(static=True)
     method: str = eqx.field(static=True)

@@ -61,29 +61,48 @@ def adjustment(
     """The answer for a block. `problem` and `arranged` belong to the block with its origin moved to `origin`."""
     reference = on_device(spread(on_host(block.exterior.angles).T, plan.order.image, plan.order.images, 0.0))
     answer = _answer(arranged, problem, reference, precision, optimised=optimised)
-    weighted, residuals = _residuals(block, plan, problem, answer.residuals)
-    blocks, weak = None, ()
+    weighted = _tables(plan, problem, answer.residuals)
+    blocks, redundancy_numbers, weak = None, None, ()
     if answer.cofactors is not None:
         inner = None
         if block.structure.datum.kind == "inner":
             inner = inner_cofactors_of(block.structure, plan, arranged, problem, answer.cofactors, optimised)
         blocks = _cofactors(block, plan, answer, inner)
+        redundancy_numbers = _redundancy_numbers(block, _tables(plan, problem, answer.cofactors.leverages))
         weak = undetermined_unknowns(block.structure, plan, answer.cofactors) if block.concrete else ()
     adjusted = _adjusted(block, plan, arranged, answer.angles, origin)
-    return Adjustment(adjusted, residuals, weighted, blocks, iterations, rule, method, plan.method, weak)
+    return Adjustment(
+        adjusted,
+        _unweighted(block, weighted),
+        weighted,
+        blocks,
+        redundancy_numbers,
+        iterations,
+        rule,
+        method,
+        plan.method,
+        weak,
+    )
 
 
-def _residuals(
-    block: Block, plan: Arrangement, problem: Problem, weighted: list[Array]
-) -> tuple[tuple[Array, ...], tuple[Array, ...]]:
-    """Weighted and unweighted residuals, a table for the rays and for every group; 0 where nothing is observed."""
+def _tables(plan: Arrangement, problem: Problem, parts: list[Array]) -> tuple[Array, ...]:
+    """What belongs to the observations, a table for the rays and for every group; 0 where nothing is observed."""
     cells = 2 * len(problem.tiles)
     groups = cells + (2 if problem.kept_rays.image.shape[0] else 0)
-    rays = restored_rays(plan, weighted[:cells], weighted[cells:groups])
-    tables = [rays, *(on_device(on_host(v).T) for v in weighted[groups:])]
-    unweighted = [on_device(on_host(rays) * on_host(block.rays.sigmas))]
-    unweighted += [group.unweighted(v) for group, v in zip(block.groups, tables[1:], strict=True)]
-    return tuple(tables), tuple(unweighted)
+    rays = restored_rays(plan, parts[:cells], parts[cells:groups])
+    return rays, *(on_device(on_host(v).T) for v in parts[groups:])
+
+
+def _unweighted(block: Block, weighted: tuple[Array, ...]) -> tuple[Array, ...]:
+    """Residuals in the units of the observations."""
+    rays = on_device(on_host(weighted[0]) * on_host(block.rays.sigmas))
+    return rays, *(group.unweighted(v) for group, v in zip(block.groups, weighted[1:], strict=True))
+
+
+def _redundancy_numbers(block: Block, leverages: tuple[Array, ...]) -> tuple[Array, ...]:
+    """r = 1 - h, 0 where nothing is observed."""
+    observed = np.ones(leverages[0].shape, bool), *(group.structure.observed for group in block.groups)
+    return tuple(on_device((1 - on_host(h)) * o) for h, o in zip(leverages, observed, strict=True))
 
 
 def _adjusted(
