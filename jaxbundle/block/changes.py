@@ -1,13 +1,83 @@
-"""Changes of what is unknown in a block."""
+"""Changes of what is unknown and of what is observed in a block."""
 
 import dataclasses
 
 import numpy as np
 
-from jaxbundle.block.block import Block
+from jaxbundle.block.block import Block, CheckPoints, Rays
+from jaxbundle.block.observations import ObservationGroup
+from jaxbundle.numerics.host import on_device, on_host
 
 
 def with_interior_held(block: Block) -> Block:
     """The block with every interior element of its cameras held at its value."""
     structure = dataclasses.replace(block.structure, interior_free=np.zeros_like(block.structure.interior_free))
     return dataclasses.replace(block, structure=structure)
+
+
+def without_ray(block: Block, ray: int) -> Block:
+    """The block without a ray; a point that is left with one ray and nothing else is left out with it."""
+    structure = block.structure
+    point = structure.ray_point[ray]
+    keep = np.ones(len(structure.ray_image), bool)
+    keep[ray] = False
+    others = np.flatnonzero(keep & (structure.ray_point == point))
+    lonely = len(others) == 1 and structure.point_free[point].any() and not _is_touched(block, int(point))
+    if lonely:
+        keep[others] = False
+    structure = dataclasses.replace(structure, ray_image=structure.ray_image[keep], ray_point=structure.ray_point[keep])
+    coordinates, sigmas = (on_device(on_host(x)[keep]) for x in (block.rays.coordinates, block.rays.sigmas))
+    block = dataclasses.replace(block, structure=structure, rays=Rays(coordinates, sigmas))
+    return _without_point(block, int(point)) if lonely else block
+
+
+def _is_touched(block: Block, point: int) -> bool:
+    """Whether an observation other than a ray touches the point."""
+    return any(
+        (group.structure.indices[:, k] == point).any()
+        for group in block.groups
+        for k, kind in enumerate(group.structure.kind.touches)
+        if kind == "point"
+    )
+
+
+def _without_point(block: Block, point: int) -> Block:
+    """The block without a point that nothing touches."""
+    s = block.structure
+    keep = np.arange(len(s.point_names)) != point
+    number = np.cumsum(keep) - 1
+    known = s.check_point != point
+    structure = dataclasses.replace(
+        s,
+        point_names=tuple(name for name, kept in zip(s.point_names, keep, strict=True) if kept),
+        ray_point=number[s.ray_point].astype(s.ray_point.dtype),
+        point_free=s.point_free[keep],
+        check_point=number[s.check_point[known]].astype(s.check_point.dtype),
+    )
+
+    def renumbered(group: ObservationGroup) -> ObservationGroup:
+        indices = group.structure.indices.copy()
+        for k, kind in enumerate(group.structure.kind.touches):
+            if kind == "point":
+                indices[:, k] = number[indices[:, k]]
+        return dataclasses.replace(group, structure=dataclasses.replace(group.structure, indices=indices))
+
+    check = CheckPoints(
+        *(on_device(on_host(x)[known]) for x in (block.check_points.coordinates, block.check_points.sigmas))
+    )
+    return dataclasses.replace(
+        block,
+        structure=structure,
+        object_points=on_device(on_host(block.object_points)[keep]),
+        groups=tuple(map(renumbered, block.groups)),
+        check_points=check,
+    )
+
+
+def without_component(block: Block, group: int, member: int, component: int) -> Block:
+    """The block in which one component of one member of a group is not observed."""
+    old = block.groups[group]
+    observed = old.structure.observed.copy()
+    observed[member, component] = False
+    new = dataclasses.replace(old, structure=dataclasses.replace(old.structure, observed=observed))
+    return dataclasses.replace(block, groups=(*block.groups[:group], new, *block.groups[group + 1 :]))
