@@ -4,6 +4,8 @@ from pathlib import Path
 import jax
 import pytest
 
+from jaxbundle.numerics.compilation import Compiled
+
 jax.config.update("jax_enable_x64", True)
 jax.config.update("jax_num_cpu_devices", 4)
 
@@ -16,6 +18,14 @@ def pytest_configure(config: pytest.Config) -> None:
         jax.config.update("jax_compilation_cache_dir", str(config.cache.mkdir("compiled")))
         jax.config.update("jax_persistent_cache_min_compile_time_secs", 0.1)
         jax.config.update("jax_persistent_cache_min_entry_size_bytes", -1)
+
+
+@pytest.fixture(scope="module", autouse=True)
+def forgotten_programs():
+    """Programs hold memory maps, of which a process may have a limited number (vm.max_map_count)."""
+    yield
+    Compiled.forget()
+    jax.clear_caches()
 
 
 @pytest.fixture(scope="session")

@@ -29,6 +29,8 @@ from jaxbundle.normals.tiles import SLOTS, Tiling, tile_width, tiling
 from jaxbundle.numerics.host import array_module, is_concrete, on_device, on_host
 from jaxbundle.numerics.shapes import grid_size
 
+BORDER_SHARE = 0.1  # of the images' unknowns: so much of a border costs less than the matrix it keeps sparse
+
 
 class Order(NamedTuple):
     """Where every image, camera and point of the block stands, and how many places there are (padded).
@@ -108,9 +110,14 @@ class Problem(eqx.Module):
 
 
 def kept_points(structure: Structure, groups: tuple[ObservationGroup, ...]) -> Bool[np.ndarray, " point"]:
-    """Points that cannot be eliminated one by one: they share an observation, or have no ray."""
+    """Points that cannot be eliminated one by one, since they share an observation, or better are not.
+
+    The second are points without rays, and a few points on very many images, which would fill the reduced matrix.
+    """
     count = np.bincount(structure.ray_point, minlength=len(structure.point_names))
-    kept = count == 0
+    kept, long = count == 0, count > SLOTS
+    if 3 * long.sum() <= BORDER_SHARE * 6 * len(structure.image_names):
+        kept |= long
     for group in groups:
         touches = group.structure.kind.touches
         for k, kind in enumerate(touches):

@@ -5,6 +5,8 @@
 The tiles are dealt to the devices, the sums over the images added up over them; all solve the reduced equations.
 """
 
+import dataclasses
+from collections.abc import Callable
 from functools import partial
 from typing import Any, NamedTuple
 
@@ -236,14 +238,17 @@ def device_mesh(devices: int) -> jax.sharding.Mesh:
     return jax.make_mesh((devices,), (AXIS,), axis_types=(jax.sharding.AxisType.Auto,))
 
 
-def _pairs(tiles: tuple[Tiles, ...]) -> list[Array]:
-    """The lists of pairs: the only part of the tiles that all devices have in common."""
-    return [t.products.pair for t in tiles if t.products is not None]
-
-
 def local_tiles(tiles: tuple[Tiles, ...]) -> tuple[Tiles, ...]:
     """A device's own tiles: the leading axis, of length 1 there, taken off."""
-    return eqx.tree_at(_pairs, jax.tree.map(lambda x: x[0], tiles), _pairs(tiles))
+    return tuple(_by_device(t, lambda x: x[0], lambda pair: pair) for t in tiles)
+
+
+def _by_device(tiles: Tiles, own: Callable, common: Callable) -> Tiles:
+    """`own` of what every device has for itself, `common` of the list of pairs, which all have in common."""
+    mapped = jax.tree.map(own, tiles)
+    if tiles.products is None:
+        return mapped
+    return eqx.tree_at(lambda t: t.products.pair, mapped, common(tiles.products.pair))
 
 
 def trial_step(unknowns: Arranged, p: Problem, damping: Float[Array, ""]) -> Trial:
@@ -273,12 +278,11 @@ def trial_step(unknowns: Arranged, p: Problem, damping: Float[Array, ""]) -> Tri
 def partition(unknowns: Arranged, linear: Linearised, p: Problem) -> tuple[Arranged, Linearised, Problem]:
     """How the arguments of a step lie on the devices: tiles parted, all else everywhere."""
     of_tiles: Any = PartitionSpec(None, AXIS)
-    parts = jax.tree.map(lambda _: PartitionSpec(AXIS), p.tiles)
-    tiles = eqx.tree_at(_pairs, parts, [PartitionSpec() for _ in _pairs(parts)])
+    tiles = tuple(_by_device(t, lambda _: PartitionSpec(AXIS), lambda _: PartitionSpec()) for t in p.tiles)
     return (
         Arranged(_everywhere(unknowns.images), of_tiles),
         _everywhere(linear)._replace(prior=None if linear.prior is None else of_tiles),
-        eqx.tree_at(lambda x: x.tiles, _everywhere(p), tiles),
+        dataclasses.replace(_everywhere(p), tiles=tiles),
     )
 
 

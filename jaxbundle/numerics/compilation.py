@@ -1,7 +1,8 @@
 """Compilation: small blocks want a program quickly, large ones a quick program, and nobody wants to wait twice."""
 
 from collections.abc import Callable, Hashable
-from typing import Any
+from typing import Any, ClassVar
+from weakref import WeakSet
 
 import equinox as eqx
 import jax
@@ -21,9 +22,18 @@ class Compiled:
     programs are kept beside it and found again by the next process.
     """
 
+    _all: ClassVar["WeakSet[Compiled]"] = WeakSet()
+
     def __init__(self, function: Callable[..., Any]):
         self.function = function
         self._programs: dict[Hashable, programs.Program] = {}
+        Compiled._all.add(self)
+
+    @classmethod
+    def forget(cls) -> None:
+        """Frees all programs of this process, which hold memory maps, of which a system allows so many only."""
+        for compiled in cls._all:
+            compiled._programs.clear()
 
     def __call__(self, *args: Any, optimised: bool) -> Any:
         """The function's value."""

@@ -87,8 +87,8 @@ def reliability(adjustment: Adjustment, level: float = LEVEL, power: float = POW
             mde = np.where(controlled, sigma * delta / np.sqrt(r), np.where(is_observed, np.inf, np.nan))
             external = np.where(controlled, delta * np.sqrt((1 - r) / r), np.where(is_observed, np.inf, np.nan))
         tables.append((r, w, mde, external))
-    columns = (tuple(column) for column in zip(*tables, strict=True))
-    return Reliability(*columns, level, power)
+    r, w, mde, external = (tuple(column) for column in zip(*tables, strict=True))
+    return Reliability(r, w, mde, external, level, power)
 
 
 def _sigmas(group) -> Float[np.ndarray, "member component"]:
