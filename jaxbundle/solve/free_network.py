@@ -141,6 +141,14 @@ def _transformed(
     return cofactors - mixed - mixed.T + g.T @ d @ g
 
 
+def _carried(g: NormalVector, p: Problem, carrying: Float[Array, " place"]) -> NormalVector:
+    """B: the rows of G of the points that carry the constraints."""
+    tiles = g.tiles.shape[2:]
+    places = tiles[0] * tiles[1]
+    at_border = _border(carrying[places:], p.shape.first_kept_point)
+    return NormalVector(jnp.zeros_like(g.images), g.border * at_border, g.tiles * carrying[:places].reshape(tiles))
+
+
 def _border(of_points: Float[Array, " kept"], first: int) -> Float[Array, " border"]:
     """A number for each kept point on the rows of its coordinates, 0 before them."""
     return jnp.concatenate([jnp.zeros(first), jnp.repeat(of_points, 3)])
@@ -179,13 +187,29 @@ def _similarities(unknowns: Arranged, p: Problem, constraints: int) -> NormalVec
     )
 
 
+def with_inner_constraints(
+    unknowns: Arranged, p: Problem, carrying: Float[Array, " place"], constraints: int, rows: NormalVector
+) -> NormalVector:
+    """S^T f for every row f: with Q of the minimal datum, f Q f^T is that of the inner constraints."""
+    g = _similarities(unknowns, p, constraints)
+    chosen = _carried(g, p, carrying)
+    m = jnp.linalg.inv(_products(chosen, g))
+    whole = jnp.einsum("fia,kia->fk", rows.images, g.images) + _products(rows, g)
+    return jax.tree.map(lambda f, b: f - jnp.einsum("fk,k...->f...", whole @ m, b), rows, chosen)
+
+
+def carrying_places(structure: Structure, plan: Arrangement) -> Float[Array, " place"]:
+    """1 for the places of the points that carry the constraints, tiles first, then kept points."""
+    places = np.zeros(plan.order.points)
+    places[plan.order.point[carrying(structure)]] = 1.0
+    return on_device(places)
+
+
 def inner_cofactors_of(
     structure: Structure, plan: Arrangement, unknowns: Arranged, p: Problem, q: Cofactors, optimised: bool
 ) -> InnerCofactors:
     """The cofactors of a free network from those of the minimal datum it was adjusted in."""
-    places = np.zeros(plan.order.points)
-    places[plan.order.point[carrying(structure)]] = 1.0
     constraints = structure.datum.constraints
     return _inner_cofactors(
-        unknowns, p, on_device(places), q.images, q.border, q.points, constraints, optimised=optimised
+        unknowns, p, carrying_places(structure, plan), q.images, q.border, q.points, constraints, optimised=optimised
     )
