@@ -1,5 +1,8 @@
 """What variance components do where a group has little to say, and what they refuse."""
 
+from functools import reduce
+from operator import or_
+
 import equinox as eqx
 import numpy as np
 import pytest
@@ -30,10 +33,8 @@ def block() -> Block:
 
 
 def test_small_groups_keep_their_sigmas(block):
-    one, others = control_point(block, "3"), [control_point(block, str(k)) for k in range(1, 13) if k != 3]
-    rest = others[0]
-    for other in others[1:]:
-        rest = rest | other
+    one, *others = (control_point(block, str(k)) for k in range(1, 13))
+    rest = reduce(or_, others)
     found = variance_components(block, [control_rays(block), tie_rays(block), one, rest], precision=False)
     assert found.converged and found.held == ("", "", SMALL, "")
     assert found.redundancy[2] < 3 and found.components[2] == 1 and np.isnan(found.deviations[2])
