@@ -3,10 +3,16 @@
 import runpy
 from pathlib import Path
 
+import equinox as eqx
+import jax.numpy as jnp
 import numpy as np
 import pytest
+from dense import centred, dense_system
 
-from jaxbundle.statistics.influence import Influence
+from jaxbundle.planning.simulate import exact_coordinates
+from jaxbundle.solve.adjust import adjust
+from jaxbundle.statistics.influence import Influence, influence
+from jaxbundle.statistics.subsets import all_control
 
 EXAMPLE = Path(__file__).parents[1] / "examples" / "04_erroneous_control.py"
 # errors of X0 Y0 Z0 [m], alpha omega kappa [']; l = measured - computed of the points 1-4 [um], x then y
@@ -44,9 +50,15 @@ MISPRINTS = [
 
 
 @pytest.fixture(scope="module")
-def rows() -> dict:
+def example() -> dict:
+    """What the example has defined and computed."""
+    return runpy.run_path(str(EXAMPLE))
+
+
+@pytest.fixture(scope="module")
+def rows(example) -> dict:
     """Errors, l by x and y, and the influence of control (words where control is held), by rows."""
-    return runpy.run_path(str(EXAMPLE))["rows"]
+    return example["rows"]
 
 
 @pytest.mark.parametrize("row", EXPECTED)
@@ -87,6 +99,24 @@ def test_ratios_of_row_14(rows):
     assert np.isnan(influence.ratios.object_points).all()  # control fixes its own points
     assert influence.most_affected == "alpha of image photo"
     assert influence.largest == pytest.approx(2.08, rel=0.01)
+
+
+def test_formula_of_the_text(example):
+    """Q = (A^T W A)^-1 with W = (I + B P3^-1 B^T)^-1 beside Q0 = (A^T A)^-1, of orientation alone, P1 = I."""
+    weights = np.array([10, 10, 10, 4e-5])
+    start = example["photo"](example["CONTROL"], weights, jnp.zeros((4, 2)))
+    block = eqx.tree_at(lambda b: b.rays.coordinates, start, jnp.asarray(exact_coordinates(start)[0]))
+    adjusted = adjust(block, precision=False)
+    unknowns, observations = centred(adjusted.block)
+    user = eqx.tree_at(lambda o: o.in_angles, observations, jnp.ones(1, bool), is_leaf=lambda leaf: leaf is None)
+    design = dense_system(unknowns, user).design
+    a, b, p3 = design[:8, :6], design[:8, 6:], design[8:, 6:].T @ design[8:, 6:]
+    w = np.linalg.inv(np.eye(8) + b @ np.linalg.solve(p3, b.T))
+    q, q0 = np.diag(np.linalg.inv(a.T @ w @ a)), np.diag(np.linalg.inv(a.T @ a))
+    found = influence(adjusted, all_control(adjusted.block))
+    np.testing.assert_allclose(found.weighted.exterior[0], q, rtol=1e-8)
+    np.testing.assert_allclose(found.errorless.exterior[0], q0, rtol=1e-8)
+    np.testing.assert_allclose(found.ratios.exterior[0], (q - q0) / q0, rtol=1e-8)
 
 
 def test_residuals_see_what_the_criterion_does_not(rows):

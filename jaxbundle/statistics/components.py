@@ -24,6 +24,7 @@ from jaxtyping import Bool, Float
 from jaxbundle.block.block import Block
 from jaxbundle.block.datum import with_datum
 from jaxbundle.block.observations import ObservationGroup
+from jaxbundle.block.validate import require_valid
 from jaxbundle.numerics.host import on_device
 from jaxbundle.solve.adjust import adjust
 from jaxbundle.solve.adjustment import Adjustment, Status
@@ -135,13 +136,14 @@ def variance_components(
 
     A group keeps its sigmas a priori while its redundancy is below 3, and for good if it falls below later.
 
-    Raises: ValueError for overlapping or inseparable groups, for a robust adjustment, where an adjustment fails, and
+    Raises: BlockError, as `adjust`; ValueError for overlapping or inseparable groups, for a robust adjustment, where an adjustment fails, and
     for the form "helmert" of a large block.
     """
     if form not in ("redundancy", "helmert"):
         raise ValueError(f'no form {form!r}; there are "redundancy" and "helmert"')
     if options.get("robust") is not None:
         raise ValueError("robust weights and variance components explain the same residuals twice: choose one")
+    require_valid(block)
     asked = three_groups(block) if subsets is None else tuple(subsets)
     block, groups = with_datum(block), _with_rest(block, asked)
     quick: dict[str, Any] = options | {"precision": False}

@@ -151,7 +151,7 @@ def _weighted(adjustment: Adjustment) -> Block:
 
 @Compiled
 def _factors(
-    unknowns: Unknowns, o: Observations, free: Int[Array, "chunk column"], reference: Float[Array, "image 3"]
+    unknowns: Unknowns, o: Observations, free: Int[Array, "chunk at_once"], reference: Float[Array, "image 3"]
 ) -> tuple[Array, Array, Array, Float[Array, "3 3 image"]]:
     """U, R^-1, the pivots of N with a unit diagonal, and what turns small angles into the user's; padded with zeros.
 
@@ -181,7 +181,7 @@ def _elements(o: Observations) -> int:
 
 
 def _design_columns(
-    unknowns: Unknowns, o: Observations, free: Int[Array, "chunk column"]
+    unknowns: Unknowns, o: Observations, free: Int[Array, "chunk at_once"]
 ) -> Float[Array, "column observation"]:
     """Columns of A, 0 for a number beyond the last; observations in the order of the tables."""
     zero, unflatten = ravel_pytree(tuple(jnp.zeros(mask.shape) for mask in _free_masks(o)))

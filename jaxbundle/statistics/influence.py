@@ -102,7 +102,8 @@ class ControlInfluence(NamedTuple):
 
     def summary(self) -> str:
         """A line each, and what may be regarded as errorless."""
-        lines = [str(influence) for influence in (self.together, *self.kinds, *self.points)]
+        kinds = self.kinds if len(self.kinds) > 1 else ()  # a single one is all control
+        lines = [str(influence) for influence in (self.together, *kinds, *self.points)]
         if not self.test.passed:
             lines.append(
                 f"v^T P v {self.test.statistic:.4g} is too large for a redundancy of {self.test.degrees}: some sigmas"
