@@ -136,8 +136,8 @@ def variance_components(
 
     A group keeps its sigmas a priori while its redundancy is below 3, and for good if it falls below later.
 
-    Raises: BlockError, as `adjust`; ValueError for overlapping or inseparable groups, for a robust adjustment, where an adjustment fails, and
-    for the form "helmert" of a large block.
+    Raises: BlockError as `adjust`; ValueError for overlapping or inseparable groups, for a robust adjustment, where an
+    adjustment fails, and for the form "helmert" of a large block.
     """
     if form not in ("redundancy", "helmert"):
         raise ValueError(f'no form {form!r}; there are "redundancy" and "helmert"')
