@@ -38,3 +38,9 @@ def test_plain_bundle():
     assert sigma0 and float(sigma0[1]) == pytest.approx(1, abs=0.15)
     rms = re.search(r"rms ([\d.]+), largest", out)
     assert rms and float(rms[1]) == pytest.approx(1, abs=0.4)
+
+
+def test_erroneous_control():
+    out = printed(ROOT / "examples" / "04_erroneous_control.py")
+    assert len(out.splitlines()) == 2 * 17 + 3
+    assert "least squares: v^T v 0.1948 mm^2 is less than the least, 0.2593" in out

@@ -1,0 +1,197 @@
+"""The design matrix of a whole adjustment, dense, for what asks for all of N^-1: some thousands of unknowns at most.
+
+A = U R          A: residuals over their sigmas, by autodiff, with respect to what is free; U^T U = I
+N^-1 = (A^T A)^-1 = R^-1 R^-T              cofactors of the unknowns
+A N^-1 A^T = U U^T,   r = 1 - diag(U U^T)  redundancy numbers of the observations
+"""
+
+from collections.abc import Sequence
+from typing import NamedTuple
+
+import equinox as eqx
+import jax
+import jax.numpy as jnp
+import numpy as np
+from jax.flatten_util import ravel_pytree
+from jaxtyping import Array, Bool, Float, Int
+
+from jaxbundle.block.block import Block, Structure
+from jaxbundle.block.residuals import Observations, observations_of, weighted_residuals
+from jaxbundle.block.unknowns import Correction, Unknowns, angle_derivatives, corrected, unknowns_of
+from jaxbundle.normals.inverse_factor import inverse_factor
+from jaxbundle.numerics.compilation import Compiled
+from jaxbundle.numerics.host import on_device
+from jaxbundle.solve.adjustment import Adjustment
+from jaxbundle.solve.robust import LEAST_WEIGHT
+from jaxbundle.statistics.subsets import Subset
+
+MOST_UNKNOWNS = 3000  # A of 10 000 observations takes 240 MB
+UNKNOWNS_FOR_OPTIMISATION = 500  # below, the design matrix takes less time than optimising its program
+COLUMNS_AT_ONCE = 32
+LEAST_PIVOT = 1e-11  # of a column of A: as in the search for undetermined unknowns, below rounding decides
+
+
+class UnknownTables(NamedTuple):
+    """A number for every unknown, in tables as the block has them; NaN for what is held. Angles are the user's."""
+
+    exterior: Float[np.ndarray, "image 6"]
+    interior: Float[np.ndarray, "camera element"]
+    parameters: Float[np.ndarray, " parameter"]
+    object_points: Float[np.ndarray, "point 3"]
+
+
+class DenseSystem(NamedTuple):
+    """U, and R^-1 whose rows for attitudes belong to the user's angles; observations follow `tables`, row by row."""
+
+    structure: Structure
+    observed: tuple[Bool[np.ndarray, "_member _component"], ...]
+    orthogonal: Float[np.ndarray, "observation free"]
+    inverse: Float[np.ndarray, "free free"]
+
+    def rows(self, subset: Subset) -> Int[np.ndarray, " chosen"]:
+        """Rows of a subset's observations."""
+        return np.flatnonzero(np.concatenate([mask.ravel() for mask in subset.masks]))
+
+    def tables(self, numbers: Float[np.ndarray, " observation"]) -> tuple[Float[np.ndarray, "_member _component"], ...]:
+        """A number for every observation, in tables as the residuals; 0 where nothing is observed."""
+        ends = np.cumsum([mask.size for mask in self.observed])
+        parts = np.split(numbers, ends[:-1])
+        return tuple(
+            np.where(mask, part.reshape(mask.shape), 0.0) for part, mask in zip(parts, self.observed, strict=True)
+        )
+
+    def unknown_tables(self, numbers: Float[np.ndarray, " free"]) -> UnknownTables:
+        """A number for every free unknown, in tables."""
+        tables, first = [], 0
+        structure, elements = self.structure, self.structure.interior_free
+        for mask in (structure.exterior_free.T, elements.T, structure.parameter_free, structure.point_free.T):
+            table = np.full(mask.shape, np.nan)
+            table[mask] = numbers[first : first + mask.sum()]
+            first += int(mask.sum())
+            tables.append(table.T)
+        return UnknownTables(*tables)
+
+    @property
+    def unknown_names(self) -> tuple[str, ...]:
+        """The free unknowns in the user's words, in their order."""
+        s = self.structure
+        names = [f"{e} of image {i}" for e, i in _free(s.exterior_elements, s.image_names, s.exterior_free)]
+        for k in s.interior_columns:
+            cameras = [camera for camera, free in zip(s.cameras, s.interior_free[:, k], strict=True) if free]
+            names += [f"{camera.model.elements[k]} of camera {camera.name}" for camera in cameras]
+        names += [parameter.name for parameter in s.parameters if parameter.free]
+        return (*names, *(f"{c} of point {p}" for c, p in _free("XYZ", s.point_names, s.point_free)))
+
+
+def _free(
+    elements: Sequence[str], names: Sequence[str], free: Bool[np.ndarray, "entity element"]
+) -> list[tuple[str, str]]:
+    """Every free element with the name of whose it is, element by element."""
+    return [(elements[int(k)], names[int(row)]) for k, row in np.argwhere(free.T)]
+
+
+def dense_system(adjustment: Adjustment) -> DenseSystem:
+    """The system at the adjusted unknowns, with the weights that the adjustment had at last.
+
+    Raises: ValueError for a large block, and for unknowns that are not determined.
+    """
+    return block_system(_weighted(adjustment))
+
+
+def block_system(block: Block) -> DenseSystem:
+    """The system at the values of a block whose datum is chosen; raises as `dense_system`."""
+    structure = block.structure
+    if structure.unknowns > MOST_UNKNOWNS:
+        raise ValueError(
+            f"this needs the whole cofactor matrix, of {MOST_UNKNOWNS} unknowns at most; the block has"
+            f" {structure.unknowns}"
+        )
+    centred = block.moved(-np.asarray(block.exterior.projection_centre).mean(0))
+    observations = observations_of(centred)
+    free = np.flatnonzero(np.concatenate([np.ravel(mask) for mask in _free_masks(observations)]))
+    padded = np.full(-(-len(free) // COLUMNS_AT_ONCE) * COLUMNS_AT_ONCE, _elements(observations))
+    padded[: len(free)] = free
+    orthogonal, inverse, pivots, turned = _factors(
+        unknowns_of(centred),
+        observations,
+        on_device(padded.reshape(-1, COLUMNS_AT_ONCE), np.int32),
+        block.exterior.angles,
+        optimised=len(free) >= UNKNOWNS_FOR_OPTIMISATION,
+    )
+    if not np.all(np.asarray(pivots)[: len(free)] > LEAST_PIVOT):
+        raise ValueError("the observations leave some unknowns undetermined; adjust() names them")
+    orthogonal, inverse = np.array(orthogonal[:, : len(free)]), np.array(inverse[: len(free), : len(free)])
+    exterior = np.zeros((6, len(structure.image_names), len(free)))
+    exterior[structure.exterior_free.T] = inverse[: structure.exterior_free.sum()]
+    exterior[3:] = np.einsum("abi,bif->aif", np.asarray(turned), exterior[3:])
+    inverse[: structure.exterior_free.sum()] = exterior[structure.exterior_free.T]
+    everything = np.ones((len(structure.ray_image), 2), bool), *(g.structure.observed for g in block.groups)
+    return DenseSystem(structure, everything, orthogonal, inverse)
+
+
+def redundancy_numbers(adjustment: Adjustment) -> tuple[Float[np.ndarray, "_member _component"], ...]:
+    """r of every observation, in tables as the residuals, 0 where nothing is observed; their sum is M - N.
+
+    Correlated components of a member have one as uncorrelated combinations: only their sum means anything.
+
+    Raises: ValueError for a large block, and for unknowns that are not determined.
+    """
+    system = dense_system(adjustment)
+    return system.tables(1 - np.sum(system.orthogonal**2, 1))
+
+
+def _weighted(adjustment: Adjustment) -> Block:
+    """The adjusted block with the sigmas of robust weights."""
+    block, robust = adjustment.block, adjustment.reweighting
+    if robust is None:
+        return block
+    factor = np.sqrt(np.maximum(np.asarray(robust.weights), LEAST_WEIGHT))[:, None]
+    return eqx.tree_at(lambda b: b.rays.sigmas, block, on_device(np.asarray(block.rays.sigmas) / factor))
+
+
+@Compiled
+def _factors(
+    unknowns: Unknowns, o: Observations, free: Int[Array, "chunk at_once"], reference: Float[Array, "image 3"]
+) -> tuple[Array, Array, Array, Float[Array, "3 3 image"]]:
+    """U, R^-1, the pivots of N with a unit diagonal, and what turns small angles into the user's; padded with zeros.
+
+    By two Cholesky factorisations, N = A^T A and then U^T U once more (CholeskyQR2, Yamamoto et al. 2015): as exact as
+    Householder's while N has a factor at all, and free of LAPACK's threads.
+    """
+    columns = _design_columns(unknowns, o, free)
+    lengths = jnp.linalg.norm(columns, axis=1)
+    scale = jnp.where(lengths > 0, 1 / jnp.where(lengths > 0, lengths, 1.0), 0.0)
+    missing = free.ravel() >= _elements(o)
+    design = (columns * scale[:, None]).T
+    first = inverse_factor(design.T @ design + jnp.diag(1.0 * missing))
+    nearly = design @ first.T
+    second = inverse_factor(nearly.T @ nearly + jnp.diag(1.0 * missing))
+    turned = angle_derivatives(unknowns.rotation, o.in_angles, reference.T, o.system)
+    inverse = scale[:, None] * (second @ first).T
+    return nearly @ second.T, inverse, 1 / jnp.diagonal(first) ** 2, turned
+
+
+def _free_masks(o: Observations) -> tuple[Array, ...]:
+    return o.exterior_free, o.interior_free, o.parameter_free, o.point_free
+
+
+def _elements(o: Observations) -> int:
+    """Number of elements that may be unknown."""
+    return sum(mask.size for mask in _free_masks(o))
+
+
+def _design_columns(
+    unknowns: Unknowns, o: Observations, free: Int[Array, "chunk at_once"]
+) -> Float[Array, "column observation"]:
+    """Columns of A, 0 for a number beyond the last; observations in the order of the tables."""
+    zero, unflatten = ravel_pytree(tuple(jnp.zeros(mask.shape) for mask in _free_masks(o)))
+
+    def residuals(correction: Float[Array, " element"]) -> Float[Array, " observation"]:
+        exterior, by_column, parameters, points = unflatten(correction)
+        interior = jnp.zeros_like(unknowns.interior).at[np.array(o.columns, int)].set(by_column)
+        moved = corrected(unknowns, Correction(exterior, interior, parameters, points), o.in_angles, o.system)
+        return jnp.concatenate([v.T.ravel() for v in weighted_residuals(moved, o)])
+
+    _, linear = jax.linearize(residuals, zero)
+    columns = jax.lax.map(jax.vmap(lambda k: linear(zero.at[k].set(1.0, mode="drop"))), free)
+    return columns.reshape(free.size, -1)
