@@ -55,6 +55,22 @@ if TYPE_CHECKING:
     from jaxbundle.solve.adjustment import Adjustment, Status
     from jaxbundle.solve.robust import Cauchy, Danish, Huber, Tukey
     from jaxbundle.solve.stopping import AngleRule, PointRule, parallax_rule, unknown_rule
+    from jaxbundle.statistics.components import VarianceComponents, variance_components
+    from jaxbundle.statistics.influence import control_influence, influence
+    from jaxbundle.statistics.precision import covariance_of, error_ellipses, error_ellipsoids
+    from jaxbundle.statistics.reliability import Reliability, reliability
+    from jaxbundle.statistics.snooping import Snooping, snoop
+    from jaxbundle.statistics.subsets import (
+        Subset,
+        all_control,
+        camera_rays,
+        control_point,
+        control_rays,
+        image_rays,
+        observations_of_kind,
+        three_groups,
+        tie_rays,
+    )
     from jaxbundle.textbook import crosscheck
 
 _MODULES = {
@@ -98,6 +114,22 @@ _MODULES = {
     "solve.adjustment": ("Adjustment", "Status"),
     "solve.robust": ("Cauchy", "Danish", "Huber", "Tukey"),
     "solve.stopping": ("AngleRule", "PointRule", "parallax_rule", "unknown_rule"),
+    "statistics.components": ("VarianceComponents", "variance_components"),
+    "statistics.influence": ("control_influence", "influence"),
+    "statistics.precision": ("covariance_of", "error_ellipses", "error_ellipsoids"),
+    "statistics.reliability": ("Reliability", "reliability"),
+    "statistics.snooping": ("Snooping", "snoop"),
+    "statistics.subsets": (
+        "Subset",
+        "all_control",
+        "camera_rays",
+        "control_point",
+        "control_rays",
+        "image_rays",
+        "observations_of_kind",
+        "three_groups",
+        "tie_rays",
+    ),
     "textbook": ("crosscheck",),
 }
 _HOME = {name: module for module, names in _MODULES.items() for name in names}
@@ -136,29 +168,49 @@ __all__ = [
     "Problem",
     "Progress",
     "Rays",
+    "Reliability",
     "Simulation",
+    "Snooping",
     "Status",
     "Structure",
+    "Subset",
     "Tukey",
+    "VarianceComponents",
     "adjust",
+    "all_control",
+    "camera_rays",
     "collinearity",
+    "control_influence",
+    "control_point",
+    "control_rays",
+    "covariance_of",
     "crosscheck",
     "curvature_coefficient",
     "datum_defect",
+    "error_ellipses",
+    "error_ellipsoids",
     "geodetic_kind",
+    "image_rays",
+    "influence",
     "inner_orientation",
     "interior_priors",
     "observation_group",
+    "observations_of_kind",
     "parallax_rule",
     "read",
     "read_bal",
     "read_block_folder",
     "refraction_coefficient",
+    "reliability",
     "report_dict",
     "report_text",
     "simulate",
+    "snoop",
+    "three_groups",
+    "tie_rays",
     "unknown_rule",
     "validate",
+    "variance_components",
     "with_corrections",
     "with_datum",
     "with_interior_held",

@@ -29,7 +29,7 @@ from jaxbundle.numerics.host import on_device
 from jaxbundle.solve.adjust import adjust
 from jaxbundle.solve.adjustment import Adjustment, Status
 from jaxbundle.statistics import dense
-from jaxbundle.statistics.dense import redundancy_numbers
+from jaxbundle.statistics.reliability import redundancy_numbers
 from jaxbundle.statistics.subsets import Subset, all_observations, require_whole_members, three_groups
 
 Form = Literal["redundancy", "helmert"]
@@ -146,7 +146,7 @@ def variance_components(
     require_valid(block)
     asked = three_groups(block) if subsets is None else tuple(subsets)
     block, groups = with_datum(block), _with_rest(block, asked)
-    quick: dict[str, Any] = options | {"precision": False}
+    quick: dict[str, Any] = options | {"precision": form == "redundancy"}  # redundancy numbers come with the cofactors
     guard, converged, rounds = _Guard(len(groups), len(asked)), False, 0
     while rounds < max_rounds and not converged:
         rounds += 1
@@ -155,7 +155,8 @@ def variance_components(
             raise ValueError(f"no variance components: adjustment {rounds} on the way {adjustment.status.words}")
         block = _moved_on(block, adjustment)
         converged = guard.followed(_Step.of(adjustment, groups, form), tolerance)
-    last = adjust(with_components(block, groups, guard.components), **options)
+    fully: dict[str, Any] = options | {"precision": True}
+    last = adjust(with_components(block, groups, guard.components), **fully)
     deviations, bounds = _deviations(last, groups, guard.free)
     return VarianceComponents(
         form=form,

@@ -65,22 +65,29 @@ def critical_tau(redundancy: int, level: float = LEVEL) -> float:
     return float(t * np.sqrt(redundancy) / np.sqrt(redundancy - 1 + t**2))
 
 
+def redundancy_numbers(adjustment: Adjustment) -> Tables:
+    """r of every observation, 0 where nothing is observed; their sum is the redundancy.
+
+    Raises: ValueError where the adjustment has none.
+    """
+    if adjustment.redundancy_numbers is None:
+        raise ValueError("this adjustment was made without standard deviations: call adjust(..., precision=True)")
+    return tuple(np.asarray(r) for r in adjustment.redundancy_numbers)
+
+
 def reliability(adjustment: Adjustment, level: float = LEVEL, power: float = POWER) -> Reliability:
     """Reliability of all observations.
 
     Raises: ValueError where the adjustment has no redundancy numbers.
     """
-    if adjustment.redundancy_numbers is None:
-        raise ValueError("this adjustment was made without standard deviations: call adjust(..., precision=True)")
+    numbers = redundancy_numbers(adjustment)
     groups = adjustment.block.groups
     observed = [np.ones(adjustment.residuals[0].shape, bool), *(group.structure.observed for group in groups)]
     sigmas = [np.asarray(adjustment.block.rays.sigmas), *(_sigmas(group) for group in groups)]
     delta = non_centrality(level, power)
     tables = []
-    for r, v, is_observed, sigma in zip(
-        adjustment.redundancy_numbers, adjustment.weighted_residuals, observed, sigmas, strict=True
-    ):
-        r = np.where(is_observed, np.clip(on_host(r), 0.0, 1.0), np.nan)
+    for r, v, is_observed, sigma in zip(numbers, adjustment.weighted_residuals, observed, sigmas, strict=True):
+        r = np.where(is_observed, np.clip(r, 0.0, 1.0), np.nan)
         with np.errstate(divide="ignore", invalid="ignore"):
             controlled = r > np.finfo(float).eps ** 0.5  # below, rounding makes residual and number
             w = np.where(controlled, on_host(v) / np.sqrt(r), np.where(is_observed, 0.0, np.nan))
