@@ -7,7 +7,7 @@ from jaxtyping import Bool, Float, Int
 
 from jaxbundle.block.block import Structure
 from jaxbundle.block.observations import CONTROL, ObservationGroup
-from jaxbundle.io.block_folder import RADIANS
+from jaxbundle.io.settings import RADIANS
 from jaxbundle.solve.adjustment import Adjustment
 
 HIGH_CORRELATION = 0.95
