@@ -54,7 +54,7 @@ def navigation(tables: Mapping[str, Table], toml: BlockToml) -> Navigation:
     times = {kind: table.numbers("time")[:, 0] for kind, table in given.items()}
     origin = np.zeros(len(names))
     for k in range(len(names)):
-        together = np.concatenate([times[kind][group[kind] == k] for kind in given])
+        together = np.concatenate([np.zeros(0), *(times[kind][group[kind] == k] for kind in given)])
         together = together[np.isfinite(together)]
         if len(together) and abs(together.mean()) > CENTRED * np.ptp(together):
             origin[k] = together.mean()

@@ -141,7 +141,7 @@ def pair_rows(kind: str, table: Table, entities: Entities, bars: BarRows | None,
     owner, owners = np.zeros(len(table.lines), int), ()
     if kind == "scale_bars":
         owners = bars.names if bars else ()
-        owner = table.positions("bar", owners, bars_file) if bars else owner
+        owner = table.positions("bar", owners, bars_file) if bars else owner - 1
     elif kind == "directions":
         owner, owners = _numbered(table.names("set"), order)
         _one_station_a_set(table, owners)
