@@ -205,5 +205,8 @@ def _quoted(
 
 
 def write_table(path: Path, columns: Columns) -> None:
-    """Writes a table; numbers in the shortest form that reads back the same, NaN as an empty field."""
-    pl.DataFrame(columns).with_columns(pl.selectors.float().fill_nan(None)).write_csv(path)
+    """Writes a table; numbers in the shortest form that reads back the same, NaN and "" as an empty field."""
+    frame = pl.DataFrame(columns).with_columns(
+        pl.selectors.float().fill_nan(None), pl.selectors.string().replace("", None)
+    )
+    frame.write_csv(path)
