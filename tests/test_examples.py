@@ -38,3 +38,11 @@ def test_plain_bundle():
     assert sigma0 and float(sigma0[1]) == pytest.approx(1, abs=0.15)
     rms = re.search(r"rms ([\d.]+), largest", out)
     assert rms and float(rms[1]) == pytest.approx(1, abs=0.4)
+
+
+def test_own_observation():
+    out = printed(ROOT / "examples" / "03_own_observation.py")
+    without, with_lake = (float(sd) for sd in re.findall(r"the lake +sd ([\d.]+)", out))
+    assert with_lake < 0.7 * without
+    level = re.search(r"level of the lake ([-+][\d.]+) m, sd ([\d.]+)", out)
+    assert level and abs(float(level[1])) < 3 * float(level[2])
