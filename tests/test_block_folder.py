@@ -26,6 +26,8 @@ from jaxbundle.block.problems import BlockError
 from jaxbundle.camera.model import CameraModel
 from jaxbundle.geometry.rotation import ALPHA_OMEGA_KAPPA
 from jaxbundle.io import read_block_folder, write_block_folder
+from jaxbundle.io.block_toml import read_block_toml
+from jaxbundle.io.findings import Findings
 
 FOLDERS = (
     "strasbourg-s1-fixed",
@@ -301,3 +303,12 @@ def test_adjusted_values_are_written(small: Path, tmp_path: Path) -> None:
     block = eqx.tree_at(lambda b: b.object_points, block, block.object_points.at[5].add(jnp.pi))
     write_block_folder(block, tmp_path / "again")
     assert_same(block, read_block_folder(tmp_path / "again"))
+
+
+def test_the_readme_shows_a_block_toml(tmp_path: Path) -> None:
+    """Every key that it shows is known; only the tables of the fiducials are not named."""
+    readme = (Path(__file__).parents[1] / "README.md").read_text(encoding="utf-8")
+    text = readme.partition("```toml\n")[2].partition("```")[0]
+    (tmp_path / "block.toml").write_text(text, encoding="utf-8")
+    findings = Findings()
+    assert read_block_toml(tmp_path / "block.toml", findings).settings is not None, str(findings.error())

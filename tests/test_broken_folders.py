@@ -150,12 +150,12 @@ CASES: dict[str, tuple[Edit, str]] = {
     ),
     "distance to unknown point": (
         table("distances", DISTANCES, "101,900,10,0.1"),
-        "distances.csv:2: distance 101 - 900: to 900 is not in rays.csv; "
-        "add it there, correct the name or drop the row",
+        "distances.csv:2: distance 101 - 900: to 900 is on no image and has no coordinates; "
+        "measure it on an image, give it X, Y and Z in points.csv or control.csv, correct the name or drop the row",
     ),
     "distance to itself": (
         table("distances", DISTANCES, "101,101,10,0.1"),
-        "distances.csv:2: distance 101 - 101: both ends are the same point; correct one of them or drop the row",
+        "distances.csv:2: distance 101 - 101: both ends are the same; correct one of them or drop the row",
     ),
     # numbers
     "no number": (
@@ -217,12 +217,12 @@ CASES: dict[str, tuple[Edit, str]] = {
     "unknown key": (
         toml(15, "width", "widht"),
         "block.toml:15: [cameras.wide] widht is unknown; known here: image_unit, pixel_size, width, height, "
-        "principal_distance, principal_point, distortion, coefficients, estimate, corrections, fiducials",
+        "principal_distance, principal_point, distortion, coefficients, estimate, priors, corrections, fiducials",
     ),
     "unknown section": (
         added("block.toml", "[adjustment]\nsteps = 3"),
         "block.toml:30: adjustment is unknown; "
-        "known here: format, name, source, units, rotation, cameras, sigma, datum, tables",
+        "known here: format, name, source, units, rotation, cameras, navigation, sigma, identification, datum, tables",
     ),
     "missing principal distance": (
         toml(17, "principal_distance = 50.0", ""),
@@ -265,10 +265,6 @@ CASES: dict[str, tuple[Edit, str]] = {
     "no camera": (
         without_cameras,
         "block.toml: cameras is missing; give it",
-    ),
-    "inner constraints": (
-        added("block.toml", '[datum]\ntype = "inner"'),
-        "block.toml:31: [datum] inner constraints are not available; known: fixed, minimal",
     ),
     "unknown held image": (
         added("block.toml", '[datum]\ntype = "fixed"\nhold = { "012" = ["X0"], "013" = ["X0"] }'),

@@ -14,6 +14,7 @@ from jaxbundle.cli import adjusting, demo, main, runtime
 from jaxbundle.cli.progress import HEADER, ProgressLines
 from jaxbundle.io import read, write_block_folder
 from jaxbundle.solve.adjust import Progress, adjust
+from jaxbundle.solve.robust import Huber, Tukey
 from jaxbundle.solve.stopping import AngleRule, ParallaxRule, PointRule, UnknownRule
 
 ROOT = Path(__file__).parents[1]
@@ -99,6 +100,23 @@ def test_options_of_the_solve(run, folder, adjustment, monkeypatch, options, exp
 
 
 @pytest.mark.parametrize(
+    ("options", "expected"),
+    [
+        ((), None),
+        (("--robust", "huber"), Huber()),
+        (("--robust", "tukey", "--robust-limit", "5"), Tukey(limit=5.0)),
+    ],
+)
+def test_robust_options(run, folder, adjustment, monkeypatch, options, expected):
+    given = {}
+    monkeypatch.setattr(adjusting, "adjust", lambda block, **options: given.update(options) or adjustment)
+    assert run("adjust", folder, *options)[0] == 0
+    robust = given["robust"]
+    assert type(robust) is type(expected)
+    assert robust is None or robust.limit == expected.limit
+
+
+@pytest.mark.parametrize(
     ("options", "kind", "limit"),
     [
         ((), AngleRule, 1e-8),
@@ -145,6 +163,10 @@ def test_a_block_too_large_for_an_engine_is_2(run, folder, monkeypatch):
     [
         (("--method", "newton"), "'newton' is not one of"),
         (("--stop", "points"), "--stop points needs a --limit"),
+        (("--robust-limit", "3"), "--robust-limit belongs to --robust"),
+        (("--robust", "huber", "--robust-limit", "0"), "--robust-limit 0.0 is not positive"),
+        (("--robust", "huber", "--checkpoint", "state"), "--robust solves many times and keeps no --checkpoint"),
+        (("--robust", "l1"), "'l1' is not one of"),
         (("--limit", "0"), "--limit 0.0 is not positive"),
         (("--limit", "nan"), "--limit nan is not positive"),
         (("--unknown", "1_01:X0"), "--unknown belongs to --stop unknown"),

@@ -11,7 +11,7 @@ import pytest
 from jaxbundle.block.block import Block, Datum, Parameter
 from jaxbundle.block.datum import with_datum
 from jaxbundle.block.datum_defect import datum_defect
-from jaxbundle.block.geodetic import DISTANCES
+from jaxbundle.block.geodetic import DISTANCES, geodetic_kind
 from jaxbundle.block.navigation import GNSS
 from jaxbundle.block.observations import CONTROL, STATIONS, ObservationGroup, observation_group
 from jaxbundle.block.problems import BlockError
@@ -216,3 +216,67 @@ def test_parameters_that_take_part_are_named_with_the_points_that_move():
         and "points that would move most" in words
         and "hold the parameters" in words
     )
+
+
+def with_height_differences(block: Block) -> Block:
+    """The vertical and the scale from four levelled pairs of points."""
+    points = np.asarray(block.object_points)
+    seen = np.argsort(-np.bincount(block.structure.ray_point), kind="stable")
+    pairs = np.array([[seen[k], seen[-1 - k]] for k in range(4)])
+    differences = (points[pairs[:, 1], 2] - points[pairs[:, 0], 2] + [0.1, -0.2, 0.3, 0.1])[:, None]
+    group = observation_group(geodetic_kind("height_differences"), pairs, differences, np.full((4, 1), 0.05))
+    return dataclasses.replace(block, groups=(group,))
+
+
+def holding(block: Block, image: int, elements: tuple[str, ...]) -> Block:
+    """The block with elements of one image held."""
+    structure, free = block.structure, block.structure.exterior_free.copy()
+    for element in elements:
+        free[image, structure.exterior_elements.index(element)] = False
+    held = tuple((structure.image_names[image], element) for element in elements)
+    structure = dataclasses.replace(structure, exterior_free=free, datum=Datum("fixed", held))
+    return dataclasses.replace(block, structure=structure)
+
+
+def test_minimal_datum_leaves_the_vertical_to_what_gives_it():
+    """Position and azimuth are open, no more is held, and the result is that of any such datum."""
+    block = with_height_differences(free_network(2))
+    assert datum_defect(block).count == 4
+    chosen = adjust(block)
+    assert chosen.block.structure.datum == Datum(
+        "minimal", tuple(("1_01", element) for element in ("X0", "Y0", "Z0", "kappa"))
+    )
+    other = adjust(holding(block, 4, ("X0", "Y0", "Z0", "kappa")))
+    assert chosen.redundancy == other.redundancy
+    np.testing.assert_allclose(chosen.vtpv, other.vtpv, rtol=1e-9)
+
+
+def inner(block: Block) -> Block:
+    return dataclasses.replace(block, structure=dataclasses.replace(block.structure, datum=Datum("inner")))
+
+
+def test_inner_constraints_need_open_axes():
+    with pytest.raises(
+        BlockError, match="open, and the observations leave the origin, the rotation about .* to Z; leave"
+    ):
+        with_datum(inner(with_height_differences(free_network(2))))
+
+
+def with_parameter(block: Block, table: str, indices: list[list[int]]) -> Block:
+    """Observations that touch an unknown of their own."""
+    size = np.ones((len(indices), 1))
+    group = observation_group(geodetic_kind(table), np.array(indices), 0 * size, 1e-3 * size)
+    structure = dataclasses.replace(block.structure, parameters=(Parameter("own"),))
+    block = dataclasses.replace(block, structure=structure, groups=(group,))
+    return eqx.tree_at(lambda b: b.parameters, block, jnp.ones(1))
+
+
+def test_parameters_that_move_with_the_datum():
+    """Three directions give two angles; a bar of unknown length gives nothing, and its length moves with the scale."""
+    directions = with_parameter(free_network(2), "directions", [[0, 5, 0], [0, 6, 0], [0, 7, 0]])
+    assert datum_defect(directions).parameters == ("own",)
+    assert len(with_datum(directions).structure.datum.held) == 5
+    bar = with_parameter(free_network(2), "scale_bars", [[0, 5, 0]])
+    assert len(with_datum(bar).structure.datum.held) == 7
+    with pytest.raises(BlockError, match="origin and axes of a free network are open, and own would move with them"):
+        with_datum(inner(bar))

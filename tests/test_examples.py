@@ -44,3 +44,11 @@ def test_erroneous_control():
     out = printed(ROOT / "examples" / "04_erroneous_control.py")
     assert len(out.splitlines()) == 2 * 17 + 3
     assert "least squares: v^T v 0.1948 mm^2 is less than the least, 0.2593" in out
+
+
+def test_own_observation():
+    out = printed(ROOT / "examples" / "03_own_observation.py")
+    without, with_lake = (float(sd) for sd in re.findall(r"the lake +sd ([\d.]+)", out))
+    assert with_lake < 0.7 * without
+    level = re.search(r"level of the lake ([-+][\d.]+) m, sd ([\d.]+)", out)
+    assert level and abs(float(level[1])) < 3 * float(level[2])

@@ -155,6 +155,27 @@ def datum_defect(block: Block) -> DatumDefect:
     return DatumDefect(directions.shape[1], words, own, moves)
 
 
+def sensitivity(block: Block, elements: list[tuple[int, int]]) -> Float[np.ndarray, "element defect"]:
+    """How elements of images, given as image and its element, change along the directions that are open.
+
+    Coordinates in units of the block's radius, angles in radians.
+    """
+    directions = null_space(block)
+    centred = block.moved(-np.mean(np.asarray(block.object_points), 0))
+    unknowns, system = unknowns_of(centred), block.structure.rotation_system
+    radius = jnp.sqrt(jnp.mean(jnp.sum(unknowns.points**2, 0)))
+    images, components = np.array(elements).T
+
+    def changed(parameters: Float[Array, "7"]) -> Float[Array, " element"]:
+        moved = transformed(unknowns, parameters, radius)
+        angles = jnp.stack(system.angles_from_rotation(tuple(moved.rotation)))
+        return jnp.concatenate([moved.centre / radius, angles])[components, images]
+
+    derivatives = np.asarray(jax.jacfwd(changed)(jnp.zeros(7)))
+    left, size, _ = np.linalg.svd(directions[:7], full_matrices=False)
+    return derivatives @ left[:, size > RANK_TOLERANCE]
+
+
 def _most_moved(block: Block, datum: Float[np.ndarray, "7 defect"]) -> tuple[str, ...]:
     """The object points that the undetermined directions move most."""
     x = np.asarray(block.object_points).T - np.mean(np.asarray(block.object_points), 0)[:, None]

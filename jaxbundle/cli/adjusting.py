@@ -1,5 +1,6 @@
 """`jaxbundle adjust`: a path in, summary and findings to standard output, a folder of results."""
 
+import math
 from pathlib import Path
 from typing import NamedTuple
 
@@ -17,6 +18,7 @@ from jaxbundle.report.findings import findings
 from jaxbundle.solve.adjust import adjust
 from jaxbundle.solve.adjustment import Adjustment
 from jaxbundle.solve.checkpoint import CheckpointError
+from jaxbundle.solve.robust import WEIGHT_FUNCTIONS, AbstractWeightFunction
 from jaxbundle.solve.stopping import AbstractStoppingRule, AngleRule, PointRule, parallax_rule, unknown_rule
 
 
@@ -31,6 +33,7 @@ class Wanted(NamedTuple):
     engine: str
     reduced: Method
     checkpoint: Path | None
+    robust: AbstractWeightFunction | None
 
 
 def run(path: Path, out: Path | None, wanted: Wanted, hold_interior: bool, precision: bool) -> int:
@@ -41,7 +44,7 @@ def run(path: Path, out: Path | None, wanted: Wanted, hold_interior: bool, preci
     block = with_interior_held(block) if hold_interior else block
     rule = stopping_rule(block, wanted)
     folder = out or Path(f"{path.resolve().stem}-adjusted")
-    require_place(folder, block)  # before the work, not after it
+    require_place(folder, block, wanted.robust is not None)  # before the work, not after it
     with lines.phase("adjusting"):
         adjustment = _adjusted(block, wanted, rule, precision, lines)
     with lines.phase("writing"):
@@ -64,6 +67,7 @@ def _adjusted(
             engine=wanted.engine,
             reduced=wanted.reduced,
             checkpoint=wanted.checkpoint,
+            robust=wanted.robust,
             progress=lines.iteration,
         )
     except CheckpointError as error:
@@ -80,6 +84,21 @@ def echo_result(adjustment: Adjustment) -> None:
     for finding in findings(adjustment):
         if finding.kind != "undetermined":
             typer.echo("\n".join(wrapped(finding.label, finding.words, 14)))
+
+
+def weight_function(name: str | None, limit: float | None) -> AbstractWeightFunction | None:
+    """The weight function of these options; None for least squares.
+
+    Raises: typer.BadParameter for options that do not belong together.
+    """
+    if name is None:
+        if limit is not None:
+            raise typer.BadParameter("--robust-limit belongs to --robust")
+        return None
+    if limit is not None and not 0 < limit < math.inf:
+        raise typer.BadParameter(f"--robust-limit {limit} is not positive")
+    function = WEIGHT_FUNCTIONS[name]
+    return function() if limit is None else function(limit=limit)
 
 
 def stopping_rule(block: Block, wanted: Wanted) -> AbstractStoppingRule:

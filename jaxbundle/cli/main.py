@@ -96,6 +96,18 @@ def adjust(
         Path | None,
         typer.Option(help="File that keeps the state after every accepted iteration; if it exists, go on from it."),
     ] = None,
+    robust: Annotated[
+        Literal["huber", "cauchy", "tukey", "danish"] | None,
+        typer.Option(help="Weight function that takes the weight of gross errors in the rays.", show_default=False),
+    ] = None,
+    robust_limit: Annotated[
+        float | None,
+        typer.Option(
+            metavar="K",
+            help="Limit of the weight function, in standard deviations.  [default: that of the function]",
+            show_default=False,
+        ),
+    ] = None,
     no_precision: Annotated[bool, typer.Option("--no-precision", help="No standard deviations.")] = False,
 ) -> None:
     """Adjust a block and write its report and tables.
@@ -106,7 +118,12 @@ def adjust(
     adjusting = _loaded("adjusting")
     if reduced == "pcg" and not no_precision:
         raise typer.BadParameter("--reduced pcg gives no standard deviations and needs --no-precision")
-    wanted = adjusting.Wanted(method, stop, limit, tuple(unknown or ()), max_iterations, engine, reduced, checkpoint)
+    if robust is not None and checkpoint is not None:
+        raise typer.BadParameter("--robust solves many times and keeps no --checkpoint")
+    function = adjusting.weight_function(robust, robust_limit)
+    wanted = adjusting.Wanted(
+        method, stop, limit, tuple(unknown or ()), max_iterations, engine, reduced, checkpoint, function
+    )
     raise typer.Exit(adjusting.run(path, out, wanted, hold_interior, not no_precision))
 
 

@@ -3,13 +3,13 @@
 Everything that is wrong in the whole folder is told at once, with file, line and cure.
 """
 
-import math
 from pathlib import Path
 
 import jax.numpy as jnp
 import numpy as np
 from jaxtyping import Bool, Float, Int
 
+from jaxbundle.approximate.figures import with_figures
 from jaxbundle.approximate.intersection import intersect
 from jaxbundle.block.block import (
     Block,
@@ -21,25 +21,18 @@ from jaxbundle.block.block import (
     Rays,
     Structure,
 )
-from jaxbundle.block.geodetic import DISTANCES
-from jaxbundle.block.observations import (
-    CONTROL,
-    STATIONS,
-    ObservationGroup,
-    ObservationKind,
-    observation_group,
-)
+from jaxbundle.block.datum_defect import datum_defect
 from jaxbundle.block.problems import BlockError, Problem
 from jaxbundle.block.validate import validate, weaknesses
 from jaxbundle.geometry.rotation import ROTATION_SYSTEMS
 from jaxbundle.io.block_toml import FILE, BlockToml, read_block_toml
 from jaxbundle.io.fiducial_tables import with_inner_orientations
 from jaxbundle.io.findings import Finding, Findings
-from jaxbundle.io.folder_tables import USUAL_FILES, FolderTables, ImageRows, KnownRows, RayRows, read_folder_tables
-from jaxbundle.io.settings import CameraSection, Settings
+from jaxbundle.io.folder_tables import USUAL_FILES, FolderTables, KnownRows, RayRows, read_folder_tables
+from jaxbundle.io.observation_groups import found_in, interior_groups, interior_values
+from jaxbundle.io.observation_tables import unused
+from jaxbundle.io.settings import RADIANS, CameraSection, DatumSection, Settings
 from jaxbundle.io.tables import listed
-
-RADIANS = {"deg": math.pi / 180, "gon": math.pi / 200, "rad": 1.0}
 
 
 def read_block_folder(path: str | Path) -> Block:
@@ -54,14 +47,15 @@ def read_block_folder(path: str | Path) -> Block:
     tables = read_folder_tables(folder, toml, findings)
     if tables is not None:
         tables = with_inner_orientations(tables, toml, findings)
-    if toml.settings is None or tables is None:
+    settings = toml.settings
+    if settings is None or tables is None:
         raise findings.error()
-    block = _block(folder, toml, toml.settings, tables, findings)
+    block = _block(folder, toml, settings, tables, findings)
     if findings:
         problems = [p for p in weaknesses(block) if findings.touched.isdisjoint(_names(block.structure, p))]
     else:
-        block = intersect(block)
-        problems = validate(block)
+        block, problems = with_figures(intersect(block))
+        problems = problems or validate(block) or _wrong_elements(block, settings.datum)
     findings.found += [Finding(*_place(problem, block, toml, tables), problem) for problem in problems]
     if findings:
         raise findings.error()
@@ -73,7 +67,9 @@ def _block(folder: Path, toml: BlockToml, settings: Settings, tables: FolderTabl
     images, rays, known = tables.images, tables.rays, tables.known
     used = {name: section for name, section in settings.cameras.items() if name in images.camera}
     elements, interior_free = _interior(list(used.values()))
-    datum, exterior_free = _datum(toml, settings, images, findings)
+    datum, exterior_free = _datum(toml, settings, tables, findings)
+    found = found_in(tables, toml, settings)
+    groups = (*found.groups, *interior_groups(list(used.values())))
     points, point_free = _object_points(rays, known)
     check, check_points = _check_points(known.get("control"))
     structure = Structure(
@@ -92,6 +88,7 @@ def _block(folder: Path, toml: BlockToml, settings: Settings, tables: FolderTabl
         rotation_system=ROTATION_SYSTEMS[settings.rotation.system],
         object_unit=settings.units.object,
         angle_unit=settings.units.angle,
+        parameters=tuple(found.parameters),
         source=settings.source,
         notes=_notes(folder, toml, settings, tables),
         inner_orientations=tables.inner_orientations,
@@ -102,8 +99,9 @@ def _block(folder: Path, toml: BlockToml, settings: Settings, tables: FolderTabl
         InteriorOrientation(jnp.asarray(elements)),
         jnp.asarray(points),
         Rays(jnp.asarray(rays.coordinates), jnp.asarray(rays.sigmas)),
-        _groups(tables),
+        groups,
         check_points,
+        jnp.asarray(found.values, float),
     )
 
 
@@ -120,16 +118,7 @@ def _interior(
     length = max((len(section.model.elements) for section in sections), default=0)
     elements, free = np.ones((len(sections), length)), np.zeros((len(sections), length), bool)
     for row, section in enumerate(sections):
-        x0, y0 = section.principal_point or (0.0, 0.0)
-        given = {
-            "principal_distance": section.principal_distance,
-            "x0": x0,
-            "y0": y0,
-            "pixel_size": 1.0 if section.in_mm else section.pixel_size or 1.0,
-            "y_axis": 1.0 if section.in_mm else -1.0,
-            **section.coefficients,
-            **(section.corrections.coefficients if section.corrections else {}),
-        }
+        given = interior_values(section)
         for k, name in enumerate(section.model.elements):
             elements[row, k] = given.get(name, 0.0)
             free[row, k] = name in section.estimate
@@ -137,12 +126,15 @@ def _interior(
 
 
 def _datum(
-    toml: BlockToml, settings: Settings, images: ImageRows, findings: Findings
+    toml: BlockToml, settings: Settings, tables: FolderTables, findings: Findings
 ) -> tuple[Datum, Bool[np.ndarray, "image 6"]]:
     """The datum and the free elements of the images."""
+    images = tables.images
     free = np.ones((len(images.names), 6), bool)
     if settings.datum is None:
         return Datum("open"), free
+    if settings.datum.type == "inner":
+        return _free_network(toml, settings.datum, tables, findings), free
     elements = ("X0", "Y0", "Z0", *ROTATION_SYSTEMS[settings.rotation.system].angles)
     position = {name: i for i, name in enumerate(images.names)}
     held = [(image, element) for image, names in settings.datum.hold.items() for element in names]
@@ -155,6 +147,29 @@ def _datum(
         else:
             free[position[image], elements.index(element)] = False
     return Datum(settings.datum.type if held else "open", tuple(held)), free
+
+
+def _free_network(toml: BlockToml, section: DatumSection, tables: FolderTables, findings: Findings) -> Datum:
+    """The datum of a free network; points that are none are noted."""
+    named = tuple(dict.fromkeys(section.points or ()))
+    for point in sorted(set(named).difference(tables.rays.points), key=named.index):
+        what = f"[datum] point {point} is not in {tables.rays.table.file}"
+        findings.add(FILE, toml.line("datum", "points"), what, "correct its name or drop it")
+    return Datum("inner", points=named)
+
+
+def _wrong_elements(block: Block, section: DatumSection | None) -> list[Problem]:
+    """The problem of inner constraints that name the scale where observations give it, or do not where none does."""
+    if section is None or section.elements is None:
+        return []
+    open_scale, wanted = "scale" in datum_defect(block).words, "scale" in section.elements
+    if open_scale == wanted:
+        return []
+    if wanted:
+        what = "[datum] elements name the scale, which observed distances or scale bars give already"
+        return [Problem(what, 'drop "scale" from elements, or the observations that give it', "datum")]
+    what = "[datum] elements do not name the scale, and no observed distance and no scale bar gives it"
+    return [Problem(what, 'add "scale" to elements, or observe a distance', "datum")]
 
 
 def _object_points(
@@ -181,27 +196,6 @@ def _check_points(control: KnownRows | None) -> tuple[Int[np.ndarray, " check"],
     return control.position[rows].astype(np.int32), known
 
 
-def _groups(tables: FolderTables) -> tuple[ObservationGroup, ...]:
-    """Observations of control coordinates, stations and distances, as far as there are any."""
-    groups = [
-        _coordinate_group(kind, tables.known[kind.name])
-        for kind in (CONTROL, STATIONS)
-        if kind.name in tables.known and len(tables.known[kind.name].members)
-    ]
-    if tables.distances:
-        ends = tables.distances.points
-        rows = (ends >= 0).all(1)
-        distances, sigmas = tables.distances.values[rows], tables.distances.sigmas[rows]
-        groups.append(observation_group(DISTANCES, ends[rows], distances, sigmas))
-    return tuple(groups)
-
-
-def _coordinate_group(kind: ObservationKind, rows: KnownRows) -> ObservationGroup:
-    members = rows.members
-    values = np.where(rows.observed, rows.coordinates, np.nan)[members]
-    return observation_group(kind, rows.position[members, None], values, rows.sigmas[members])
-
-
 def _notes(folder: Path, toml: BlockToml, settings: Settings, tables: FolderTables) -> tuple[str, ...]:
     """What takes no part, one sentence each."""
     notes = []
@@ -213,8 +207,19 @@ def _notes(folder: Path, toml: BlockToml, settings: Settings, tables: FolderTabl
                 notes.append(f"{what} point {unseen[0]} is on no image and takes no part")
             elif unseen:
                 notes.append(f"{len(unseen)} {what} points are on no image and take no part: {listed(unseen)}")
-    unused = [name for name in settings.cameras if name not in tables.images.camera]
-    notes += [f"camera {name} has no image and takes no part" for name in unused]
+    without_image = [name for name in settings.cameras if name not in tables.images.camera]
+    notes += [f"camera {name} has no image and takes no part" for name in without_image]
+    if tables.bars:
+        used = tables.pairs["scale_bars"].owner.tolist() if "scale_bars" in tables.pairs else ()
+        notes += unused(tables.bars.names, used, "bar")
+    groups = tables.navigation
+    taken = {int(k) for rows in groups.rows.values() for k in rows.group}
+    notes += unused(groups.names, taken, "navigation group")
+    notes += [
+        f"times of navigation group {name} count from their mean, {origin:.10g}"
+        for name, origin in zip(groups.names, groups.origin.tolist(), strict=True)
+        if origin
+    ]
     files = [file for file in USUAL_FILES if file not in toml.tables.values() and (folder / file).exists()]
     return (*notes, *(f"{file} is not named in [tables] of {FILE} and takes no part" for file in files))
 
@@ -233,13 +238,24 @@ def _place(problem: Problem, block: Block, toml: BlockToml, tables: FolderTables
     row, kind = problem.row, problem.table
     if kind == "cameras" and row is not None:
         return FILE, toml.line("cameras", block.structure.cameras[row].name)
-    if kind == "points":  # a point stands where it is first seen
-        kind, row = "rays", int(np.argmax(block.structure.ray_point == row))
-    if kind in tables.known:
-        rows = tables.known[kind]
-        return rows.table.file, 0 if row is None else int(rows.table.lines[rows.members[row]])
-    others = {"images": tables.images, "rays": tables.rays, "distances": tables.distances}
-    rows = others.get(kind)
-    if rows is None:
+    if kind == "datum":
+        return FILE, toml.line("datum", "elements")
+    if kind == "points" and row is not None:
+        return _place_of_point(row, block.structure, tables)
+    table = tables.table(kind)
+    if table is None:
         return "", 0
-    return rows.table.file, 0 if row is None else int(rows.table.lines[row])
+    if row is not None and kind in tables.known:
+        row = tables.known[kind].members[row]
+    return table.file, 0 if row is None else int(table.lines[row])
+
+
+def _place_of_point(point: int, structure: Structure, tables: FolderTables) -> tuple[str, int]:
+    """Where a point is first seen; of one on no image, where its coordinates stand."""
+    rays = np.flatnonzero(structure.ray_point == point)
+    if len(rays):
+        return tables.rays.table.file, int(tables.rays.table.lines[rays[0]])
+    for rows in (tables.known[kind] for kind in ("points", "control") if kind in tables.known):
+        if point in rows.position:
+            return rows.table.file, int(rows.table.lines[np.argmax(rows.position == point)])
+    return "", 0

@@ -7,28 +7,39 @@ import numpy as np
 from jaxtyping import Float
 
 from jaxbundle.block.block import CENTRE_ELEMENTS, Block, Camera, Structure
-from jaxbundle.block.geodetic import DISTANCES
-from jaxbundle.block.observations import CONTROL, STATIONS
+from jaxbundle.block.navigation import ATTITUDES, GNSS
+from jaxbundle.block.observations import CONTROL, PARAMETERS, STATIONS, ObservationKind, interior_priors
 from jaxbundle.block.problems import BlockError, Problem
 from jaxbundle.camera.model import CORRECTIONS
 from jaxbundle.camera.registry import CAMERA_MODELS, named_model
-from jaxbundle.io.block_folder import RADIANS
 from jaxbundle.io.block_toml import FILE, write_block_toml
+from jaxbundle.io.control_columns import COVARIANCES, PLACES
 from jaxbundle.io.folder_tables import COORDINATES, SIGMAS
-from jaxbundle.io.settings import Settings, coefficient_names
+from jaxbundle.io.navigation_writer import navigation_columns, navigation_problems, navigation_sections
+from jaxbundle.io.observation_writer import (
+    FIGURE_KINDS,
+    PAIR_KINDS,
+    Prior,
+    observation_columns,
+    observation_problems,
+    owner_names,
+    priors_of,
+)
+from jaxbundle.io.settings import RADIANS, Settings, coefficient_names
 from jaxbundle.io.tables import Columns, write_table
 
 
 def write_block_folder(block: Block, path: str | Path) -> None:
     """Writes block.toml and the tables; the folder is made where it does not exist.
 
-    Rays that fiducials brought to mm are written in mm; corrections are written as their coefficients.
+    Rays that fiducials brought to mm are written in mm; corrections are written as their coefficients. An observed
+    parameter or interior element is written with its observed value, which is its approximate value then.
 
     Raises: BlockError where the block has a camera model or a kind of observation that has no place in format 1.
     """
     _require_writable(block)
     tables = {"images": _images(block), "rays": _rays(block), "points": _points(block)}
-    tables |= {"control": _control(block), "stations": _stations(block), "distances": _distances(block)}
+    tables |= {"control": _control(block), **navigation_columns(block), **observation_columns(block)}
     tables = {kind: columns for kind, columns in tables.items() if len(next(iter(columns.values())))}
     folder = Path(path)
     folder.mkdir(parents=True, exist_ok=True)
@@ -38,7 +49,17 @@ def write_block_folder(block: Block, path: str | Path) -> None:
 
 
 def _require_writable(block: Block) -> None:
-    known = (CONTROL, STATIONS, DISTANCES)
+    system = block.structure.rotation_system.name
+    known = {
+        CONTROL,
+        STATIONS,
+        GNSS,
+        ATTITUDES[system],
+        PARAMETERS,
+        *PAIR_KINDS,
+        *FIGURE_KINDS,
+        *_interior_kinds(block),
+    }
     kinds = [group.structure.kind for group in block.groups]
     problems = [
         Problem(f"observations of kind '{kind.name}' have no table in a block folder", "leave them out", kind.name)
@@ -47,9 +68,10 @@ def _require_writable(block: Block) -> None:
     ]
     problems += [
         Problem(f"there are several groups of kind '{kind.name}'", "make one group of them", kind.name)
-        for kind in known
-        if kinds.count(kind) > 1
+        for kind in dict.fromkeys(kinds)
+        if kinds.count(kind) > 1 and kind in known
     ]
+    problems += [*observation_problems(block), *navigation_problems(block), *_lost(block), *_held_and_observed(block)]
     problems += [
         Problem(f"camera {camera.name} has the model '{camera.model.name}'", f"known: {', '.join(CAMERA_MODELS)}")
         for camera in block.structure.cameras
@@ -59,11 +81,64 @@ def _require_writable(block: Block) -> None:
         raise BlockError(problems)
 
 
+def _interior_kinds(block: Block) -> list[ObservationKind]:
+    """Observations of interior elements by the cameras' own elements."""
+    return [interior_priors(camera.model.elements) for camera in block.structure.cameras]
+
+
+def _lost(block: Block) -> list[Problem]:
+    """Parameters that no table brings along."""
+    known = {GNSS, *ATTITUDES.values(), *PAIR_KINDS, *FIGURE_KINDS}
+    structures = [group.structure for group in block.groups if group.structure.kind in known]
+    used = {
+        int(p)
+        for structure in structures
+        for k, touched in enumerate(structure.kind.touches)
+        if touched == "parameter"
+        for p in structure.indices[:, k]
+    }
+    observed = [int(p) for g in block.groups if g.structure.kind == PARAMETERS for p in g.structure.indices[:, 0]]
+    lost = [p for p in range(len(block.structure.parameters)) if p not in used or observed.count(p) > 1]
+    return [
+        Problem(
+            f"parameter {block.structure.parameters[p].name} "
+            + ("is observed several times" if p in used else "belongs to no observation of a block folder"),
+            "leave it out",
+            "parameters",
+        )
+        for p in lost
+    ]
+
+
+def _held_and_observed(block: Block) -> list[Problem]:
+    """Interior elements and lengths of bars that are held and observed at once."""
+    names = [
+        f"{element} of camera {block.structure.cameras[c].name}"
+        for c, known in _interior_priors(block).items()
+        for k, element in enumerate(block.structure.cameras[c].model.elements)
+        if element in known and not block.structure.interior_free[c, k]
+    ]
+    lengths = [p for p in owner_names(block, "scale_bars") if p in priors_of(block)]
+    names += [p.name for p in (block.structure.parameters[k] for k in lengths) if not p.free]
+    return [Problem(f"{name} is observed and held", "make it unknown", "parameters") for name in names]
+
+
+def _interior_priors(block: Block) -> dict[int, dict[str, Prior]]:
+    """Observed interior elements by camera."""
+    kinds, priors = _interior_kinds(block), {}
+    for group in (group for group in block.groups if group.structure.kind in kinds):
+        structure, values, sigmas = group.structure, np.asarray(group.values), np.asarray(group.sigmas)
+        for row, k in np.argwhere(structure.observed).tolist():
+            prior = Prior(float(values[row, k]), float(sigmas[row, k]))
+            priors.setdefault(int(structure.indices[row, 0]), {})[structure.kind.components[k]] = prior
+    return priors
+
+
 def _settings(block: Block, tables: dict[str, str]) -> Settings:
     structure = block.structure
-    interior = np.asarray(block.interior.elements)
+    interior, priors = np.asarray(block.interior.elements), _interior_priors(block)
     cameras = {
-        camera.name: _camera(camera, interior[k], structure.interior_free[k])
+        camera.name: _camera(camera, interior[k], structure.interior_free[k], priors.get(k, {}))
         for k, camera in enumerate(structure.cameras)
     }
     settings: dict[str, Any] = {
@@ -73,17 +148,23 @@ def _settings(block: Block, tables: dict[str, str]) -> Settings:
         "units": {"object": structure.object_unit, "angle": structure.angle_unit},
         "rotation": {"system": structure.rotation_system.name},
         "cameras": cameras,
+        "navigation": navigation_sections(block) or None,
         "sigma": {"image": _usual_sigma(block)},
         "tables": tables,
     }
     hold = _held(structure)
-    if hold:
+    if structure.datum.kind == "inner":
+        settings["datum"] = {"type": "inner", "points": list(structure.datum.points) or None}
+    elif hold:
         settings["datum"] = {"type": "minimal" if structure.datum.kind == "minimal" else "fixed", "hold": hold}
     return Settings.model_validate(settings)
 
 
-def _camera(camera: Camera, interior: Float[np.ndarray, " element"], free: np.ndarray) -> dict[str, Any]:
+def _camera(
+    camera: Camera, interior: Float[np.ndarray, " element"], free: np.ndarray, priors: dict[str, Prior]
+) -> dict[str, Any]:
     elements = dict(zip(camera.model.elements, interior.tolist(), strict=False))
+    elements |= {name: prior.value for name, prior in priors.items()}
     model = named_model(camera.model) or camera.model
     section: dict[str, Any] = {
         "image_unit": camera.image_unit,
@@ -94,6 +175,7 @@ def _camera(camera: Camera, interior: Float[np.ndarray, " element"], free: np.nd
         "principal_point": [elements["x0"], elements["y0"]] if "x0" in elements else None,
         "distortion": model.name,
         "estimate": [name for name, unknown in zip(camera.model.elements, free, strict=False) if unknown],
+        "priors": {name: prior.sigma for name, prior in priors.items()} or None,
     }
     coefficients = {name: elements[name] for name in coefficient_names(model)}
     corrections = {name: elements[name] for name in CORRECTIONS if name in elements}
@@ -153,47 +235,43 @@ def _points(block: Block) -> Columns:
     }
 
 
-def _observed(block: Block, name: str) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
-    """Indices, values and sigmas of a kind of observation; NaN where a component is not observed."""
+def _weighted_control(block: Block) -> tuple[np.ndarray, np.ndarray, np.ndarray, np.ndarray | None]:
+    """Points, observed coordinates and their sigmas, NaN where a coordinate is not observed; covariances."""
     for group in block.groups:
-        if group.structure.kind.name == name:
-            observed = group.structure.observed
-            values, sigmas = (np.where(observed, array, np.nan) for array in (group.values, group.sigmas))
-            return group.structure.indices, values, sigmas
-    return np.zeros((0, 2), int), np.zeros((0, 3)), np.zeros((0, 3))
+        if group.structure.kind == CONTROL:
+            observed, sigmas = group.structure.observed, np.asarray(group.sigmas)
+            covariances = group.covariances
+            if covariances is not None:
+                covariances = np.asarray(covariances)
+                variances = np.diagonal(covariances, axis1=1, axis2=2)
+                sigmas = np.where(sigmas**2 == variances, sigmas, np.sqrt(variances))
+            values, sigmas = (np.where(observed, array, np.nan) for array in (np.asarray(group.values), sigmas))
+            return group.structure.indices[:, 0], values, sigmas, covariances
+    return np.zeros(0, int), np.zeros((0, 3)), np.zeros((0, 3)), None
 
 
 def _control(block: Block) -> Columns:
     """Weighted control first, then control that is held, then check points."""
     structure = block.structure
-    weighted, values, sigmas = _observed(block, CONTROL.name)
+    weighted, values, sigmas, covariances = _weighted_control(block)
     held = np.flatnonzero(~structure.point_free.all(1))
-    points = np.concatenate([weighted[:, 0], held[~np.isin(held, weighted[:, 0])]])
+    points = np.concatenate([weighted, held[~np.isin(held, weighted)]])
     empty = np.full((len(points) - len(weighted), 3), np.nan)
     fixed = ~structure.point_free[points]
     values = np.where(fixed, np.asarray(block.object_points)[points], np.concatenate([values, empty]))
     sigmas = np.where(fixed, 0.0, np.concatenate([sigmas, empty]))
     check = block.check_points
+    together: Columns = {}
+    if covariances is not None:
+        both = sigmas[: len(weighted)] > 0
+        others = np.full(len(points) + len(structure.check_point) - len(weighted), np.nan)
+        for (a, b), column in zip(PLACES, COVARIANCES, strict=True):
+            given = np.where(both[:, a] & both[:, b], covariances[:, a, b], np.nan)
+            together[column] = np.concatenate([given, others])
     return {
         "point": _named(structure.point_names, np.concatenate([points, structure.check_point])),
         **_coordinates(COORDINATES, np.concatenate([values, check.coordinates])),
         **_coordinates(SIGMAS, np.concatenate([sigmas, check.sigmas])),
         "role": ["control"] * len(points) + ["check"] * len(structure.check_point),
-    }
-
-
-def _stations(block: Block) -> Columns:
-    images, values, sigmas = _observed(block, STATIONS.name)
-    names = _named(block.structure.image_names, images[:, 0])
-    return {"image": names, **_coordinates(COORDINATES, values), **_coordinates(SIGMAS, sigmas)}
-
-
-def _distances(block: Block) -> Columns:
-    points, values, sigmas = _observed(block, DISTANCES.name)
-    names = block.structure.point_names
-    return {
-        "from": _named(names, points[:, 0]),
-        "to": _named(names, points[:, 1]),
-        "distance": values[:, 0],
-        "sigma": sigmas[:, 0],
+        **together,
     }

@@ -16,6 +16,7 @@ from jaxbundle.io.settings import SECTIONS, Settings, TableNames
 from jaxbundle.io.tables import read_text
 
 FILE = "block.toml"
+OF_NAMES = ("cameras", "navigation")  # sections of which each has a name
 BARE_KEY = re.compile(r"[A-Za-z0-9_-]+")
 
 
@@ -40,6 +41,12 @@ class BlockToml:
         """Names of the cameras; None where they cannot be told."""
         cameras = self.raw.get("cameras")
         return tuple(cameras) if isinstance(cameras, dict) else None
+
+    @property
+    def navigation_names(self) -> tuple[str, ...]:
+        """Names of the navigation groups."""
+        groups = self.raw.get("navigation")
+        return tuple(groups) if isinstance(groups, dict) else ()
 
     @property
     def rotation_system(self) -> RotationSystem:
@@ -81,7 +88,7 @@ def read_block_toml(path: Path, findings: Findings) -> BlockToml:
 
 def _in_words(error: ErrorDetails, loc: tuple[str, ...]) -> tuple[str, str]:
     """A finding of pydantic as problem and cure."""
-    section = f"[{'.'.join(loc[: 2 if loc[:1] == ('cameras',) else 1])}]"
+    section = f"[{'.'.join(loc[: 2 if loc[0] in OF_NAMES else 1])}]"
     where = " ".join((section, loc[-1]) if len(loc) > 1 else loc)
     match error["type"]:
         case "problem":
@@ -134,8 +141,8 @@ def write_block_toml(path: Path, settings: Settings) -> None:
     for key, value in settings.model_dump(exclude_none=True).items():
         if not isinstance(value, dict):
             lines.append(f"{key} = {_value(value)}")
-        elif key == "cameras":
-            sections += [(f"cameras.{_key(name)}", camera) for name, camera in value.items()]
+        elif key in OF_NAMES:
+            sections += [(f"{key}.{_key(name)}", section) for name, section in value.items()]
         else:
             sections.append((key, value))
     for name, section in sections:

@@ -13,15 +13,32 @@ from jaxtyping import Bool, Float, Int
 
 from jaxbundle.block.block import CENTRE_ELEMENTS
 from jaxbundle.camera.fiducials import InnerOrientation
-from jaxbundle.io.block_toml import BlockToml
+from jaxbundle.io.block_toml import FILE, BlockToml
+from jaxbundle.io.control_columns import OPTIONAL, covariances, identification
 from jaxbundle.io.findings import Findings
+from jaxbundle.io.navigation_tables import Navigation, navigation
+from jaxbundle.io.observation_tables import (
+    COLUMNS,
+    FIGURES,
+    PAIRS,
+    BarRows,
+    Entities,
+    FigureRows,
+    PairRows,
+    bar_rows,
+    figure_rows,
+    pair_rows,
+    points_named,
+)
+from jaxbundle.io.settings import RADIANS
 from jaxbundle.io.tables import Table, positions_of, read_table
 
 COORDINATES = ("X", "Y", "Z")
 SIGMAS = ("sX", "sY", "sZ")
 ROLES = ("control", "check")
 FIDUCIAL_TABLES = ("fiducials", "fiducial_rays")
-USUAL_FILES = ("points.csv", "control.csv", "stations.csv", "distances.csv", "fiducials.csv", "fiducial_rays.csv")
+KNOWN = ("points", "control", "stations", "attitudes")
+USUAL_FILES = tuple(f"{kind}.csv" for kind in (*KNOWN, *COLUMNS, *FIDUCIAL_TABLES))
 
 
 @dataclass(frozen=True)
@@ -37,7 +54,7 @@ class ImageRows:
 
 @dataclass(frozen=True)
 class RayRows:
-    """rays.csv and the points it names, in the order of their first appearance."""
+    """rays.csv; `points` are those it names, in the order of their first appearance, then those on no image."""
 
     table: Table
     image: Int[np.ndarray, " ray"]
@@ -57,7 +74,11 @@ class RayRows:
 
 @dataclass(frozen=True)
 class KnownRows:
-    """points.csv, control.csv or stations.csv: coordinates of points or images, NaN where not given."""
+    """points.csv, control.csv, stations.csv or attitudes.csv: coordinates of points or images, or angles; NaN where not
+    given.
+
+    `covariances` of control, None where they are not correlated.
+    """
 
     table: Table
     names: tuple[str, ...]
@@ -65,6 +86,7 @@ class KnownRows:
     coordinates: Float[np.ndarray, "row 3"]
     sigmas: Float[np.ndarray, "row 3"]
     check: Bool[np.ndarray, " row"]
+    covariances: Float[np.ndarray, "row 3 3"] | None = None
 
     @property
     def held(self) -> Bool[np.ndarray, "row 3"]:
@@ -87,18 +109,8 @@ class KnownRows:
 
 
 @dataclass(frozen=True)
-class DistanceRows:
-    """distances.csv."""
-
-    table: Table
-    points: Int[np.ndarray, "row 2"]
-    values: Float[np.ndarray, "row 1"]
-    sigmas: Float[np.ndarray, "row 1"]
-
-
-@dataclass(frozen=True)
 class FolderTables:
-    """All tables; `known` are points, control and stations as far as they are given.
+    """All tables; `known` are points, control, stations and attitudes as far as they are given.
 
     Tables of fiducials are as they were read; `inner_orientations` are their fits, once there are any.
     """
@@ -106,25 +118,34 @@ class FolderTables:
     images: ImageRows
     rays: RayRows
     known: dict[str, KnownRows]
-    distances: DistanceRows | None
+    pairs: dict[str, PairRows]
+    figures: dict[str, FigureRows]
+    bars: BarRows | None
+    navigation: Navigation
     fiducials: Table | None = None
     fiducial_rays: Table | None = None
     inner_orientations: tuple[InnerOrientation, ...] = ()
 
+    def table(self, kind: str) -> Table | None:
+        """The table of a kind of observation."""
+        rows = {"images": self.images, "rays": self.rays, **self.known, **self.pairs, **self.figures}.get(kind)
+        return rows.table if rows else None
+
 
 def read_folder_tables(folder: Path, toml: BlockToml, findings: Findings) -> FolderTables | None:
     """Every table that block.toml names; None where one cannot be read as a table."""
+    angles, files = toml.rotation_system.angles, toml.tables
     columns: dict[str, tuple[str, tuple[str, ...], tuple[str, ...]]] = {
-        "images": ("image {image}", ("image", "camera", *CENTRE_ELEMENTS, *toml.rotation_system.angles), ()),
+        "images": ("image {image}", ("image", "camera", *CENTRE_ELEMENTS, *angles), ()),
         "rays": ("point {point} on image {image}", ("image", "point", "x", "y"), ("sx", "sy")),
         "points": ("point {point}", ("point", *COORDINATES), ()),
-        "control": ("point {point}", ("point", *COORDINATES, *SIGMAS, "role"), ()),
-        "stations": ("image {image}", ("image", *COORDINATES, *SIGMAS), ()),
-        "distances": ("distance {from} - {to}", ("from", "to", "distance", "sigma"), ()),
+        "control": ("point {point}", ("point", *COORDINATES, *SIGMAS, "role"), OPTIONAL),
+        "stations": ("image {image}", ("image", *COORDINATES, *SIGMAS), ("group", "time")),
+        "attitudes": ("image {image}", ("image", *angles, *(f"s{a}" for a in angles)), ("group", "time")),
+        **COLUMNS,
         "fiducials": ("fiducial {fiducial} of camera {camera}", ("camera", "fiducial", "x", "y"), ()),
         "fiducial_rays": ("fiducial {fiducial} on image {image}", ("image", "fiducial", "x", "y"), ()),
     }
-    files = toml.tables
     read = {
         kind: read_table(folder / files[kind], subject, needed, optional, findings)
         for kind, (subject, needed, optional) in columns.items()
@@ -135,13 +156,46 @@ def read_folder_tables(folder: Path, toml: BlockToml, findings: Findings) -> Fol
     rays = _rays(tables["rays"], images, toml) if "rays" in tables else None
     if images is None or rays is None:
         return None
-    names = {"points": rays.points, "control": rays.points, "stations": images.names}
-    known = {kind: _known(kind, tables[kind], names[kind], images.table.file) for kind in names if kind in tables}
-    distances = _distances(tables["distances"], rays) if "distances" in tables else None
+    rays = dataclasses.replace(rays, points=(*rays.points, *_on_no_image(tables, rays.points)))
+    known = {kind: _known(kind, tables[kind], rays.points, images, toml) for kind in KNOWN if kind in tables}
+    pairs, figures, bars = _observations(tables, rays, images, toml, findings)
+    groups = navigation(tables, toml)
     if len(tables) < len(read):
         return None
+    if "control" in known:
+        control = known["control"]
+        deviations = identification(control.table, control.position, len(rays.points), toml)
+        own = np.where(rays.point >= 0, deviations[rays.point], 0.0)[:, None]
+        rays = dataclasses.replace(rays, sigmas=np.where(own > 0, np.hypot(rays.sigmas, own), rays.sigmas))
     fiducials, fiducial_rays = (tables.get(kind) for kind in FIDUCIAL_TABLES)
-    return FolderTables(images, rays.usable(), known, distances, fiducials, fiducial_rays)
+    return FolderTables(images, rays.usable(), known, pairs, figures, bars, groups, fiducials, fiducial_rays)
+
+
+def _on_no_image(tables: dict[str, Table], points: Sequence[str]) -> tuple[str, ...]:
+    """Points that take part though on no image: observations name them, and their coordinates are given."""
+    unseen = set(points_named(tables)).difference(points)
+    given: dict[str, set[str]] = {}
+    for kind in ("points", "control") if unseen else ():
+        for row in tables[kind].text.iter_rows(named=True) if kind in tables else ():
+            if row["point"] in unseen:
+                given.setdefault(row["point"], set()).update(c for c in COORDINATES if row[c])
+    return tuple(name for name, coordinates in given.items() if len(coordinates) == len(COORDINATES))
+
+
+def _observations(
+    tables: dict[str, Table], rays: RayRows, images: ImageRows, toml: BlockToml, findings: Findings
+) -> tuple[dict[str, PairRows], dict[str, FigureRows], BarRows | None]:
+    """Observations between points and images, points on figures, and the lengths of scale bars."""
+    unit = toml.settings.units.angle if toml.settings else "deg"
+    entities = Entities(rays.points, images.names, images.table.file, np.pi / RADIANS[unit])
+    bars = bar_rows(tables["bars"]) if "bars" in tables else None
+    if "scale_bars" in toml.tables and "bars" not in toml.tables:
+        line, cure = toml.line("tables", "scale_bars"), 'give a table bar,length,sigma and name it: bars = "bars.csv"'
+        findings.add(FILE, line, "[tables] scale_bars need the table bars", cure)
+    bars_file = toml.tables.get("bars", "")
+    pairs = {kind: pair_rows(kind, tables[kind], entities, bars, bars_file) for kind in PAIRS if kind in tables}
+    figures = {kind: figure_rows(kind, tables[kind], rays.points, findings) for kind in FIGURES if kind in tables}
+    return pairs, figures, bars
 
 
 def _images(table: Table, toml: BlockToml) -> ImageRows:
@@ -174,38 +228,31 @@ def _rays(table: Table, images: ImageRows | None, toml: BlockToml) -> RayRows:
     return RayRows(table, image, positions_of(points, tuple(distinct)), tuple(distinct), coordinates, sigmas)
 
 
-def _known(kind: str, table: Table, names: Sequence[str], images_file: str) -> KnownRows:
-    if kind == "stations":
-        known, position = table.text["image"], table.positions("image", names, images_file)
+def _known(kind: str, table: Table, points: Sequence[str], images: ImageRows, toml: BlockToml) -> KnownRows:
+    of_images = kind in ("stations", "attitudes")
+    if of_images:
+        known, position = table.text["image"], table.positions("image", images.names, images.table.file)
         table.unique("image")
     else:  # a point may be on no image
         known = table.names("point")
-        position = positions_of(known, names)
+        position = positions_of(known, points)
         table.unique("point")
-    coordinates = table.numbers(*COORDINATES)
+    columns = toml.rotation_system.angles if kind == "attitudes" else COORDINATES
+    coordinates = table.numbers(*columns)
     if kind == "points":
         nothing = np.full_like(coordinates, np.nan)
         return KnownRows(table, tuple(known), position, coordinates, nothing, np.zeros(len(known), bool))
-    zero = "give a positive one; [datum] in block.toml holds elements of images" if kind == "stations" else ""
-    sigmas = table.sigmas(*SIGMAS, zero=zero)
+    zero = "give a positive one; [datum] in block.toml holds elements of images" if of_images else ""
+    sigmas = table.sigmas(*(f"s{column}" for column in columns), zero=zero)
     for row, k in np.argwhere((sigmas == 0) & np.isnan(coordinates)).tolist():
-        cure = f"give {COORDINATES[k]} or leave {SIGMAS[k]} empty"
-        table.note(row, f"{SIGMAS[k]} = 0 holds {COORDINATES[k]}, which is not given", cure)
-    check = np.zeros(len(known), bool)
-    if kind == "control":
-        role = table.text["role"]
-        check = (role == "check").to_numpy()
-        for row in (~role.is_in(ROLES)).arg_true():
-            table.note(row, f"role '{role[row]}' is unknown", f"known: {', '.join(ROLES)}")
-    return KnownRows(table, tuple(known), position, coordinates, sigmas, check)
-
-
-def _distances(table: Table, rays: RayRows) -> DistanceRows:
-    ends = [table.positions(column, rays.points, rays.table.file) for column in ("from", "to")]
-    for row in (table.text["from"] == table.text["to"]).arg_true():
-        table.note(row, "both ends are the same point", "correct one of them or drop the row")
-    values = table.numbers("distance", needed=True)
-    for row in np.flatnonzero(values[:, 0] <= 0).tolist():
-        table.note(row, "the distance is not positive", "give a positive one or drop the row")
-    sigmas = table.sigmas("sigma", zero="give a positive one", needed=True)
-    return DistanceRows(table, np.stack(ends, 1), values, sigmas)
+        name = columns[k]
+        table.note(row, f"s{name} = 0 holds {name}, which is not given", f"give {name} or leave s{name} empty")
+    rows = KnownRows(table, tuple(known), position, coordinates, sigmas, np.zeros(len(known), bool))
+    if kind != "control":
+        return rows
+    role = table.text["role"]
+    for row in (~role.is_in(ROLES)).arg_true():
+        table.note(row, f"role '{role[row]}' is unknown", f"known: {', '.join(ROLES)}")
+    observed = np.isfinite(coordinates) & (sigmas > 0)
+    together = covariances(table, sigmas, observed)
+    return dataclasses.replace(rows, check=(role == "check").to_numpy(), covariances=together)

@@ -1,5 +1,6 @@
-"""What block.toml says: units, rotation system, cameras, datum and the names of the tables of a block folder."""
+"""What block.toml says: units, rotation system, cameras, navigation, datum and the names of a block folder's tables."""
 
+import math
 from typing import Annotated, Any, Literal, TypeVar
 
 from pydantic import BaseModel, ConfigDict, Field, field_validator
@@ -12,12 +13,17 @@ from jaxbundle.camera.model import CameraModel
 from jaxbundle.camera.registry import CAMERA_MODELS
 from jaxbundle.geometry.rotation import ROTATION_SYSTEMS
 
+RADIANS = {"deg": math.pi / 180, "gon": math.pi / 200, "rad": 1.0}
 WITH_KEYS = ("principal_distance", "x0", "y0", "pixel_size", "y_axis")  # interior elements that are no coefficients
+OF_STATIONS = ("lever_arm", "shift", "drift")
+OF_ATTITUDES = ("boresight", "attitude_shift", "attitude_drift")
+DATUMS = ("fixed", "minimal", "inner")
 LARGEST = {"refraction": 1e-3, "earth_curvature": 0.01}  # several times what any flight has: more is another unit
 
 Positive = Annotated[float, Field(gt=0)]
 Pixels = Annotated[int, Field(gt=0)]
 Pair = Annotated[list[float], Field(min_length=2, max_length=2)]
+Triple = Annotated[list[float], Field(min_length=3, max_length=3)]
 Names = TypeVar("Names", dict[str, float], list[str])
 
 
@@ -109,6 +115,7 @@ class CameraSection(Section):
     distortion: Annotated[str, Field(validate_default=True)] = "none"
     coefficients: Annotated[dict[str, float], Field(validate_default=True)] = {}
     estimate: list[str] = []
+    priors: dict[str, Positive] | None = None
     corrections: Corrections | None = None
     fiducials: str | None = None
 
@@ -158,6 +165,11 @@ class CameraSection(Section):
         model = CAMERA_MODELS.get(info.data.get("distortion", ""))
         return _all_known(names, model.estimable, model.name, "interior element to estimate") if model else names
 
+    @field_validator("priors")
+    @classmethod
+    def _of_unknowns(cls, values: dict[str, float] | None, info: Any) -> dict[str, float] | None:
+        return _all_estimated(values, info.data.get("estimate"))
+
     @field_validator("fiducials")
     @classmethod
     def _known_transformation(cls, name: str | None, info: Any) -> str | None:
@@ -196,6 +208,45 @@ def _all_known(names: Names, known: tuple[str, ...], distortion: str, kind: str)
     return names
 
 
+def _all_estimated(values: dict[str, float] | None, estimate: list[str] | None) -> dict[str, float] | None:
+    """The priors, once each belongs to what is unknown."""
+    held = [name for name in values or () if estimate is not None and name not in estimate]
+    if held:
+        cure = "name it in estimate, or drop its prior"
+        raise _problem(f"{', '.join(held)} has a prior and is not estimated", cure)
+    return values
+
+
+class NavigationSection(Section):
+    """Systematic errors of a group of stations and attitudes; lengths in the object unit, angles in that of the folder.
+
+    What is not in `estimate` is held; `priors` are standard deviations of the values given.
+    """
+
+    lever_arm: Triple | None = None
+    shift: Triple | None = None
+    drift: Triple | None = None
+    boresight: Triple | None = None
+    attitude_shift: Triple | None = None
+    attitude_drift: Triple | None = None
+    estimate: list[str] = []
+    priors: dict[str, Positive] | None = None
+
+    @field_validator("estimate")
+    @classmethod
+    def _known(cls, names: list[str]) -> list[str]:
+        unknown = [name for name in names if name not in (*OF_STATIONS, *OF_ATTITUDES)]
+        if unknown:
+            cure = f"known: {', '.join((*OF_STATIONS, *OF_ATTITUDES))}"
+            raise _problem(f"what is to be estimated, {', '.join(unknown)}, is unknown", cure)
+        return names
+
+    @field_validator("priors")
+    @classmethod
+    def _of_unknowns(cls, values: dict[str, float] | None, info: Any) -> dict[str, float] | None:
+        return _all_estimated(values, info.data.get("estimate"))
+
+
 class Sigma(Section):
     """Standard deviation of rays that have none of their own, in their unit."""
 
@@ -203,20 +254,52 @@ class Sigma(Section):
 
 
 class DatumSection(Section):
-    """Elements of images that keep their approximate values."""
+    """Elements of images that keep their approximate values, or a free network.
+
+    Of a free network: `points` that carry the inner constraints, all if none is named, and what they fix, `elements`.
+    """
 
     type: str
     hold: dict[str, list[str]] = {}
-    elements: Any = None
+    points: list[str] | None = None
+    elements: list[str] | None = None
 
     @field_validator("type")
     @classmethod
     def _known(cls, kind: str) -> str:
-        if kind == "inner":
-            raise _problem("inner constraints are not available", "known: fixed, minimal")
-        if kind not in ("fixed", "minimal"):
-            raise _problem(f"datum '{kind}' is unknown", "known: fixed, minimal")
+        if kind not in DATUMS:
+            raise _problem(f"datum '{kind}' is unknown", f"known: {', '.join(DATUMS)}")
         return kind
+
+    @field_validator("hold")
+    @classmethod
+    def _not_free(cls, held: dict[str, list[str]], info: Any) -> dict[str, list[str]]:
+        if held and info.data.get("type") == "inner":
+            raise _problem("a free network holds nothing", 'drop hold, or give type = "fixed"')
+        return held
+
+    @field_validator("points", "elements")
+    @classmethod
+    def _of_a_free_network(cls, names: list[str] | None, info: Any) -> list[str] | None:
+        kind = info.data.get("type")
+        if names is not None and kind is not None and kind != "inner":
+            raise _problem(f"datum '{kind}' has no {info.field_name}", 'drop it, or give type = "inner"')
+        return names
+
+    @field_validator("points")
+    @classmethod
+    def _enough(cls, names: list[str] | None) -> list[str] | None:
+        if names is not None and len(set(names)) < 3:
+            raise _problem(f"{len(set(names))} points cannot carry the inner constraints", "name 3 or more, or none")
+        return names
+
+    @field_validator("elements")
+    @classmethod
+    def _translation_and_rotation(cls, names: list[str] | None) -> list[str] | None:
+        if names is not None and set(names) - {"scale"} != {"translation", "rotation"}:
+            cure = 'give elements = ["translation", "rotation"], and "scale" where nothing else gives it'
+            raise _problem(f"elements are {', '.join(names) or 'none'}", cure)
+        return names
 
 
 class TableNames(Section):
@@ -227,7 +310,18 @@ class TableNames(Section):
     points: str | None = None
     control: str | None = None
     stations: str | None = None
+    attitudes: str | None = None
     distances: str | None = None
+    horizontal_distances: str | None = None
+    height_differences: str | None = None
+    azimuths: str | None = None
+    directions: str | None = None
+    zenith_angles: str | None = None
+    scale_bars: str | None = None
+    bars: str | None = None
+    plumb_lines: str | None = None
+    planes: str | None = None
+    lines: str | None = None
     fiducials: str | None = None
     fiducial_rays: str | None = None
 
@@ -241,7 +335,9 @@ class Settings(Section):
     units: Units
     rotation: RotationSection
     cameras: Annotated[dict[str, CameraSection], Field(min_length=1)]
+    navigation: dict[str, NavigationSection] | None = None
     sigma: Sigma | None = None
+    identification: dict[str, Positive] | None = None
     datum: DatumSection | None = None
     tables: TableNames
 
@@ -251,6 +347,7 @@ SECTIONS: dict[str, type[Section]] = {
     "rotation": RotationSection,
     "cameras": CameraSection,
     "corrections": Corrections,
+    "navigation": NavigationSection,
     "sigma": Sigma,
     "datum": DatumSection,
     "tables": TableNames,

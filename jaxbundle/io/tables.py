@@ -40,6 +40,10 @@ class Table:
         names = [fields[column] for column in fields if f"{{{column}}}" in self.subject]
         self.findings.add(self.file, int(self.lines[row]), f"{self.subject.format(**fields)}: {what}", cure, names)
 
+    def column(self, column: str) -> pl.Series:
+        """A column as text; blank where the table does not have it."""
+        return self.text[column] if column in self.text.columns else pl.Series([""] * len(self.lines))
+
     def names(self, column: str) -> pl.Series:
         """A column of names; none may be blank."""
         names = self.text[column]
@@ -68,7 +72,7 @@ class Table:
         """Columns of numbers; NaN where a field is empty, which is noted where it is needed."""
         values = np.empty((len(self.lines), len(columns)))
         for k, column in enumerate(columns):
-            text = self.text[column] if column in self.text.columns else pl.Series([""] * len(self.lines))
+            text = self.column(column)
             given = text != ""
             values[:, k] = text.cast(pl.Float64, strict=False).fill_null(np.nan).to_numpy()
             for row in _rows(given & ~pl.Series(np.isfinite(values[:, k]))):
@@ -201,5 +205,8 @@ def _quoted(
 
 
 def write_table(path: Path, columns: Columns) -> None:
-    """Writes a table; numbers in the shortest form that reads back the same, NaN as an empty field."""
-    pl.DataFrame(columns).with_columns(pl.selectors.float().fill_nan(None)).write_csv(path)
+    """Writes a table; numbers in the shortest form that reads back the same, NaN and "" as an empty field."""
+    frame = pl.DataFrame(columns).with_columns(
+        pl.selectors.float().fill_nan(None), pl.selectors.string().replace("", None)
+    )
+    frame.write_csv(path)

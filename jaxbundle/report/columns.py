@@ -27,9 +27,9 @@ def wrapped(label: str, text: str, indent: int) -> list[str]:
     )
 
 
-def short(name: str) -> str:
-    """A name of at most 18 characters."""
-    return name if len(name) <= NAME else f"{name[: NAME - 10]}...{name[-7:]}"
+def short(name: str, longest: int = NAME) -> str:
+    """A name of at most so many characters."""
+    return name if len(name) <= longest else f"{name[: longest - 10]}...{name[-7:]}"
 
 
 def decimals(deviations: np.ndarray) -> int:

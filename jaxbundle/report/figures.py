@@ -7,10 +7,12 @@ from jaxtyping import Bool, Float, Int
 
 from jaxbundle.block.block import Structure
 from jaxbundle.block.observations import CONTROL, ObservationGroup
-from jaxbundle.io.block_folder import RADIANS
-from jaxbundle.solve.adjustment import Adjustment
+from jaxbundle.io.settings import RADIANS
+from jaxbundle.report.group_tables import GroupTable, group_tables
+from jaxbundle.solve.adjustment import DOWN_WEIGHTED, Adjustment
 
 HIGH_CORRELATION = 0.95
+WITHOUT_ZERO = ("directions", "scale_bars", "planes", "lines")  # kinds whose parameters are not expected to be 0
 
 
 @dataclass(frozen=True, eq=False)
@@ -28,11 +30,14 @@ class Figures:
     exterior_sd: Float[np.ndarray, "image 6"]
     interior: Float[np.ndarray, "camera element"]
     interior_sd: Float[np.ndarray, "camera element"]
+    parameters: Float[np.ndarray, " parameter"]
+    parameters_sd: Float[np.ndarray, " parameter"]
     points: Float[np.ndarray, "point 3"]
     points_sd: Float[np.ndarray, "point 3"]
     check_differences: Float[np.ndarray, "check 3"]
     residuals: tuple[Float[np.ndarray, "_member _component"], ...]
     normalised: tuple[Float[np.ndarray, "_member _component"], ...]
+    tables: list[GroupTable]
     rays_of_point: Int[np.ndarray, " point"]
     rays_of_image: Int[np.ndarray, " image"]
 
@@ -62,6 +67,46 @@ class Figures:
         size = np.abs(self.normalised[0]).max(1, initial=0.0)
         return size / self.sigma0 if self.sigma0 > 0 else np.zeros_like(size)
 
+    @property
+    def weights(self) -> Float[np.ndarray, " ray"] | None:
+        """Robust weights of the rays; None where they have none."""
+        robust = self.adjustment.reweighting
+        return None if robust is None else np.asarray(robust.weights)
+
+    @property
+    def down_weighted(self) -> Int[np.ndarray, " ray"]:
+        """Rays that lost more than half of their weight, the smallest weight first."""
+        if self.weights is None:
+            return np.zeros(0, int)
+        rays = np.flatnonzero(self.weights < DOWN_WEIGHTED)
+        return rays[np.argsort(self.weights[rays], kind="stable")]
+
+    @property
+    def significance(self) -> Float[np.ndarray, " parameter"]:
+        """|value| / sd of the parameters; NaN where it tells nothing: held, not determined, or 0 has no meaning."""
+        tested = self.structure.parameter_free
+        for group in self.groups:
+            structure = group.structure
+            if structure.kind.name in WITHOUT_ZERO:
+                touched = [k for k, kind in enumerate(structure.kind.touches) if kind == "parameter"]
+                tested[structure.indices[:, touched].ravel()] = False
+        known = tested & (self.parameters_sd > 0)
+        return np.where(known, np.abs(self.parameters) / np.where(known, self.parameters_sd, 1.0), np.nan)
+
+    def parameter_correlations(self) -> list[tuple[str, str, float]]:
+        """Two parameters and their correlation, where it is high; the highest first."""
+        if self.adjustment.cofactors is None or not len(self.parameters):
+            return []
+        q = np.asarray(self.adjustment.cofactors.parameters)
+        root = np.sqrt(np.diagonal(q))
+        known = self.structure.parameter_free & (root > 0)
+        scale = np.where(known, 1 / np.where(known, root, 1.0), 0.0)
+        r = np.triu(scale[:, None] * q * scale, 1)
+        rows, columns = np.nonzero(np.abs(r) > HIGH_CORRELATION)
+        order = np.argsort(-np.abs(r[rows, columns]), kind="stable")
+        names = [parameter.name for parameter in self.structure.parameters]
+        return [(names[a], names[b], float(r[a, b])) for a, b in zip(rows[order], columns[order], strict=True)]
+
     def correlations(self) -> list[tuple[int, str, str, float]]:
         """Camera, two of its unknown elements and their correlation, for every pair."""
         if self.adjustment.cofactors is None:
@@ -80,7 +125,11 @@ def figures_of(adjustment: Adjustment) -> Figures:
     """The numbers of a concrete adjustment."""
     block, structure = adjustment.block, adjustment.block.structure
     to_unit = np.array([1.0] * 3 + [1 / RADIANS[structure.angle_unit]] * 3)
-    exterior_sd, interior_sd, points_sd = _standard_deviations(adjustment)
+    is_angle = np.array([parameter.angle for parameter in structure.parameters], bool)
+    parameter_unit = np.where(is_angle, to_unit[3], 1.0)
+    exterior_sd, interior_sd, parameters_sd, points_sd = _standard_deviations(adjustment)
+    residuals = tuple(np.asarray(v) for v in adjustment.residuals)
+    normalised = tuple(np.asarray(v) for v in adjustment.weighted_residuals)
     exterior = np.hstack([block.exterior.projection_centre, block.exterior.angles])
     return Figures(
         adjustment,
@@ -91,36 +140,28 @@ def figures_of(adjustment: Adjustment) -> Figures:
         exterior_sd * to_unit,
         np.asarray(block.interior.elements),
         interior_sd,
+        np.asarray(block.parameters) * parameter_unit,
+        parameters_sd * parameter_unit,
         np.asarray(block.object_points),
         points_sd,
         np.asarray(adjustment.check_differences),
-        tuple(np.asarray(v) for v in adjustment.residuals),
-        tuple(np.asarray(v) for v in adjustment.weighted_residuals),
+        residuals,
+        normalised,
+        group_tables(block, residuals[1:], normalised[1:]),
         np.bincount(structure.ray_point, minlength=len(structure.point_names)),
         np.bincount(structure.ray_image, minlength=len(structure.image_names)),
     )
 
 
-def _standard_deviations(adjustment: Adjustment) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
+def _standard_deviations(adjustment: Adjustment) -> tuple[np.ndarray, np.ndarray, np.ndarray, np.ndarray]:
+    """Of exterior, interior, parameters and points."""
     structure = adjustment.block.structure
-    free = structure.exterior_free, structure.interior_free, structure.point_free
+    free = structure.exterior_free, structure.interior_free, structure.parameter_free, structure.point_free
     if adjustment.cofactors is None:
-        computed = (np.nan,) * 3
+        computed = (np.nan,) * 4
     else:
         sd = adjustment.standard_deviations
-        computed = np.hstack([sd.projection_centre, sd.angles]), np.asarray(sd.interior), np.asarray(sd.object_points)
-    exterior, interior, points = (np.where(f, c, 0.0) for f, c in zip(free, computed, strict=True))
-    return exterior, interior, points
-
-
-def member_names(structure: Structure, group: ObservationGroup) -> dict[str, list[str]]:
-    """Names of what each member of a group touches, by column: "point", or "point_1" and "point_2"."""
-    touches = group.structure.kind.touches
-    cameras = tuple(camera.name for camera in structure.cameras)
-    names = {"point": structure.point_names, "image": structure.image_names, "camera": cameras}
-    return {
-        kind if touches.count(kind) == 1 else f"{kind}_{touches[: k + 1].count(kind)}": [
-            names[kind][index] for index in group.structure.indices[:, k]
-        ]
-        for k, kind in enumerate(touches)
-    }
+        exterior = np.hstack([sd.projection_centre, sd.angles])
+        computed = exterior, *map(np.asarray, (sd.interior, sd.parameters, sd.object_points))
+    exterior, interior, parameters, points = (np.where(f, c, 0.0) for f, c in zip(free, computed, strict=True))
+    return exterior, interior, parameters, points

@@ -17,7 +17,8 @@ import numpy as np
 from jaxbundle.block.block import Block
 from jaxbundle.camera.fiducials import PARAMETERS, InnerOrientation
 from jaxbundle.io.tables import Columns, write_table
-from jaxbundle.report.figures import Figures, figures_of, member_names
+from jaxbundle.report.figures import Figures, figures_of
+from jaxbundle.report.group_tables import GroupTable, table_names
 from jaxbundle.report.tables import dict_of
 from jaxbundle.report.text import text_of
 from jaxbundle.solve.adjustment import Adjustment
@@ -30,8 +31,9 @@ def write_report(adjustment: Adjustment, folder: str | Path) -> Path:
 
     Raises: FileExistsError where the folder holds files of these names that no adjustment wrote.
     """
-    target, names = Path(folder), result_files(adjustment.block)
-    require_place(target, adjustment.block)
+    robust = adjustment.reweighting is not None
+    target, names = Path(folder), result_files(adjustment.block, robust)
+    require_place(target, adjustment.block, robust)
     figures = figures_of(adjustment)
     with _moved_to(target) as place:
         for name, columns in _tables(figures).items():
@@ -41,21 +43,24 @@ def write_report(adjustment: Adjustment, folder: str | Path) -> Path:
     return target
 
 
-def result_files(block: Block) -> list[str]:
+def result_files(block: Block, robust: bool = False) -> list[str]:
     """Names of the files that a report of this block consists of, report.txt last."""
+    parameters = ["parameters.csv"] if block.structure.parameters else []
     check = ["check_points.csv"] if len(block.structure.check_point) else []
-    groups = [f"{group.structure.kind.name}.csv" for group in block.groups]
+    groups = [f"{name}.csv" for name in table_names(block)]
+    robust_files = ["down_weighted.csv"] if robust else []
     fiducials = ["inner_orientation.csv", "fiducials.csv"] if block.structure.inner_orientations else []
-    return ["images.csv", "cameras.csv", "points.csv", "rays.csv", *groups, *check, *fiducials, DATA, TEXT]
+    always = "images.csv", "cameras.csv", "points.csv", "rays.csv"
+    return [*always, *parameters, *groups, *check, *fiducials, *robust_files, DATA, TEXT]
 
 
-def require_place(folder: str | Path, block: Block) -> None:
+def require_place(folder: str | Path, block: Block, robust: bool = False) -> None:
     """Raises FileExistsError where a report of this block would overwrite what no adjustment wrote."""
     target = Path(folder)
     if target.exists() and not target.is_dir():
         raise FileExistsError(f"{target} is a file; give a folder for the results")
     earlier = _earlier_files(target)
-    foreign = [name for name in result_files(block) if name not in earlier and (target / name).exists()]
+    foreign = [name for name in result_files(block, robust) if name not in earlier and (target / name).exists()]
     if foreign:
         raise FileExistsError(
             f"{target} holds {', '.join(foreign)}, which no adjustment wrote; give another folder for the results"
@@ -117,13 +122,17 @@ def _tables(figures: Figures) -> dict[str, Columns]:
         "points.csv": _points(figures),
         "rays.csv": _rays(figures),
     }
-    for k, group in enumerate(figures.groups):
-        tables[f"{group.structure.kind.name}.csv"] = _group(figures, k)
+    if figures.structure.parameters:
+        tables["parameters.csv"] = _parameters(figures)
+    for table in figures.tables:
+        tables[f"{table.name}.csv"] = _group(table)
     if len(figures.structure.check_point):
         tables["check_points.csv"] = _check_points(figures)
     if figures.structure.inner_orientations:
         tables["inner_orientation.csv"] = _inner_orientations(figures.structure.inner_orientations)
         tables["fiducials.csv"] = _fiducials(figures.structure.inner_orientations)
+    if figures.weights is not None:
+        tables["down_weighted.csv"] = _down_weighted(figures, figures.weights)
     return tables
 
 
@@ -179,17 +188,33 @@ def _picked(names: tuple[str, ...], index: np.ndarray) -> list[str]:
     return [names[k] for k in index.tolist()]
 
 
-def _group(figures: Figures, k: int) -> Columns:
-    group = figures.groups[k]
-    structure = group.structure
-    values, sigmas, residuals = (
-        np.where(structure.observed, array, np.nan) for array in (group.values, group.sigmas, figures.residuals[k + 1])
-    )
+def _group(table: GroupTable) -> Columns:
     return {
-        **member_names(figures.structure, group),
-        **_columns(structure.kind.components, values),
-        **_columns(structure.kind.components, sigmas, "s"),
-        **_columns(structure.kind.components, residuals, "v"),
+        **table.who,
+        **_columns(table.components, table.values),
+        **_columns(table.components, table.sigmas, "s"),
+        **_columns(table.components, table.residuals, "v"),
+    }
+
+
+def _parameters(figures: Figures) -> Columns:
+    """`t` is |value| / sd, empty where it tells nothing."""
+    return {
+        "parameter": [parameter.name for parameter in figures.structure.parameters],
+        "value": figures.parameters,
+        "sd": figures.parameters_sd,
+        "unit": [parameter.unit for parameter in figures.structure.parameters],
+        "t": figures.significance,
+    }
+
+
+def _down_weighted(figures: Figures, weights: np.ndarray) -> Columns:
+    structure, rays = figures.structure, figures.down_weighted
+    return {
+        "image": _picked(structure.image_names, structure.ray_image[rays]),
+        "point": _picked(structure.point_names, structure.ray_point[rays]),
+        "weight": weights[rays],
+        **_columns(("x", "y"), figures.residuals[0][rays], "v"),
     }
 
 

@@ -11,7 +11,7 @@ import numpy as np
 from scipy.special import chdtri
 
 from jaxbundle.report.figures import HIGH_CORRELATION, Figures, figures_of
-from jaxbundle.solve.adjustment import Adjustment, Status
+from jaxbundle.solve.adjustment import DOWN_WEIGHTED, Adjustment, Status
 
 LEVEL = 0.05
 SIGNIFICANT = 2.0  # standard deviations: an element below is as good as 0
@@ -74,7 +74,7 @@ def findings_of(figures: Figures) -> list[Finding]:
     if status is not Status.CONVERGED:
         found.append(Finding("not converged", f"the adjustment {status.words}; {CURES[status]}"))
     found += [Finding("undetermined", f"not determined: {sentence}") for sentence in _undetermined(figures)]
-    suggestions = _outlying(figures)
+    suggestions = [*_outlying(figures), *_down_weighted(figures)]
     if status is Status.CONVERGED:
         suggestions = [
             *_sigma0(figures),
@@ -82,6 +82,7 @@ def findings_of(figures: Figures) -> list[Finding]:
             *_ill_fitting_control(figures),
             *_correlated(figures),
             *_insignificant(figures),
+            *_insignificant_parameters(figures),
         ]
     found += [Finding("suggestion", words) for words in (*suggestions, *_seen_twice(figures))]
     if figures.adjustment.cofactors is None:
@@ -141,6 +142,22 @@ def _and_more(items: np.ndarray) -> str:
     return f" and {len(items) - NAMED} more" if len(items) > NAMED else ""
 
 
+def _down_weighted(figures: Figures) -> list[str]:
+    rays, weights, structure = figures.down_weighted, figures.weights, figures.structure
+    if weights is None or not len(rays):
+        return []
+    named = "; ".join(
+        f"point {structure.point_names[structure.ray_point[ray]]} on image"
+        f" {structure.image_names[structure.ray_image[ray]]} ({weights[ray]:.2g})"
+        for ray in rays[:NAMED]
+    )
+    how_many = "1 ray has" if len(rays) == 1 else f"{len(rays)} rays have"
+    return [
+        f"{how_many} a robust weight below {DOWN_WEIGHTED:g}: {named}{_and_more(rays)}; measure again or drop what"
+        " is no error of measurement, and adjust by least squares"
+    ]
+
+
 def _ill_fitting_control(figures: Figures) -> list[str]:
     of_control = figures.control_point[figures.structure.ray_point]
     control, tie = figures.normalised[0][of_control], figures.normalised[0][~of_control]
@@ -163,6 +180,10 @@ def _correlated(figures: Figures) -> list[str]:
             f"{a} and {b} of camera {figures.structure.cameras[c].name} are correlated by {r:.3f}: hold one of them, or"
             " add convergent and turned images"
             for c, a, b, r in high
+        ]
+        + [
+            f"{a} and {b} are correlated by {r:.3f}: hold one of them, or give it a value with a sigma"
+            for a, b, r in figures.parameter_correlations()
         ],
         "highly correlated pairs",
     )
@@ -181,6 +202,23 @@ def _insignificant(figures: Figures) -> list[str]:
             f"{listed} of camera {camera.name} {be} not significant (below {SIGNIFICANT:.0f} sd): hold {it} at 0"
         )
     return _capped(sentences, "cameras with insignificant elements")
+
+
+def _insignificant_parameters(figures: Figures) -> list[str]:
+    parameters, told = figures.structure.parameters, " ".join(figures.adjustment.undetermined)
+    if figures.adjustment.cofactors is None:
+        return []
+    small = [parameters[k].name for k in np.flatnonzero(figures.significance < SIGNIFICANT)]
+    loose = np.flatnonzero(figures.structure.parameter_free & ~np.isfinite(figures.parameters_sd))
+    loose = [parameters[k].name for k in loose if parameters[k].name not in told]
+    sentences = []
+    if small:
+        be, it = ("is", "it") if len(small) == 1 else ("are", "them")
+        sentences.append(f"{_listed(small)} {be} not significant (below {SIGNIFICANT:.0f} sd): hold {it} at 0")
+    if loose:
+        cure = "hold what has none, or give it a value with a sigma"
+        sentences.append(f"no standard deviation can be given of {_listed(loose)}: {cure}")
+    return sentences
 
 
 def _capped(sentences: list[str], what: str) -> list[str]:

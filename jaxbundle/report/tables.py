@@ -9,6 +9,7 @@ from typing import Any
 
 import numpy as np
 
+from jaxbundle.block.block import Structure
 from jaxbundle.report.figures import Figures, figures_of
 from jaxbundle.report.findings import findings_of, global_test
 from jaxbundle.solve.adjustment import Adjustment
@@ -44,15 +45,24 @@ def dict_of(figures: Figures) -> dict[str, Any]:
         "stopping_rule": adjustment.stopping_rule,
         "measure": _number(float(adjustment.iterations.measure)),
         "datum": str(structure.datum),
+        "constraints": inner_constraints(structure),
+        **_robust(figures),
         "images": _entries(structure.image_names, structure.exterior_elements, figures.exterior, figures.exterior_sd),
         "points": _entries(
             [structure.point_names[p] for p in unknown], "XYZ", figures.points[unknown], figures.points_sd[unknown]
         ),
         "cameras": _cameras(figures),
+        "parameters": _parameters(figures),
         "check_points": _check_points(figures, [structure.point_names[p] for p in check]),
         **_inner_orientations(figures),
         "correlations": _correlations(figures),
+        "high_parameter_correlations": [list(pair) for pair in figures.parameter_correlations()],
     }
+
+
+def inner_constraints(structure: Structure) -> int:
+    """Constraints that count in the redundancy: those of a free network whose elements are all unknown."""
+    return 0 if structure.datum.held else structure.datum.constraints
 
 
 def _number(value: float) -> float | None:
@@ -85,6 +95,27 @@ def _cameras(figures: Figures) -> dict[str, dict[str, list]]:
         pairs = _plain(np.stack([figures.interior[c, columns], figures.interior_sd[c, columns]], -1))
         cameras[camera.name] = {camera.model.elements[k]: pair for k, pair in zip(columns, pairs, strict=True)}
     return cameras
+
+
+def _parameters(figures: Figures) -> dict[str, dict[str, Any]]:
+    pairs = _plain(np.stack([figures.parameters, figures.parameters_sd], -1))
+    return {
+        parameter.name: {"value": pair, "unit": parameter.unit, "t": _number(float(t))}
+        for parameter, pair, t in zip(figures.structure.parameters, pairs, figures.significance, strict=True)
+    }
+
+
+def _robust(figures: Figures) -> dict[str, Any]:
+    """The weight function and the rays that lost more than half of their weight: image, point, weight."""
+    robust, weights, structure = figures.adjustment.reweighting, figures.weights, figures.structure
+    if robust is None or weights is None:
+        return {}
+    images, points = structure.image_names, structure.point_names
+    rays = [
+        [images[structure.ray_image[ray]], points[structure.ray_point[ray]], float(weights[ray])]
+        for ray in figures.down_weighted
+    ]
+    return {"robust": {"function": robust.name, "limit": robust.limit, "rounds": robust.rounds, "down_weighted": rays}}
 
 
 def _check_points(figures: Figures, names: list[str]) -> dict[str, dict[str, Any]]:

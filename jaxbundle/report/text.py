@@ -4,13 +4,16 @@ import textwrap
 
 import numpy as np
 
-from jaxbundle.block.observations import CONTROL, ObservationGroup
-from jaxbundle.report.columns import WIDTH, aligned, decimals, deviation, fixed, short, table, wrapped
-from jaxbundle.report.figures import HIGH_CORRELATION, Figures, figures_of, member_names
+from jaxbundle.block.observations import CONTROL
+from jaxbundle.report.columns import NAME, WIDTH, aligned, decimals, deviation, fixed, short, table, wrapped
+from jaxbundle.report.figures import HIGH_CORRELATION, Figures, figures_of
 from jaxbundle.report.findings import Finding, findings_of, global_test
-from jaxbundle.solve.adjustment import Adjustment
+from jaxbundle.report.group_tables import GroupTable
+from jaxbundle.report.tables import inner_constraints
+from jaxbundle.solve.adjustment import DOWN_WEIGHTED, Adjustment
 
 IMAGES, CAMERAS, POINTS, WORST = 200, 50, 50, 20  # shown of each; the tables hold all
+PARAMETER, OWNER = 36, 26  # characters of a parameter's name, of one beside two ends
 
 
 def report_text(adjustment: Adjustment) -> str:
@@ -28,10 +31,12 @@ def text_of(figures: Figures) -> str:
         ("Images: adjusted value and standard deviation below", _images(figures)),
         ("Inner orientation: fits to the fiducials, mm", _inner_orientations(figures)),
         ("Cameras: estimated elements", _cameras(figures)),
+        ("Parameters", _parameters(figures)),
         ("Object points", _points(figures)),
         *_control(figures),
-        *((_title(group), _group(figures, k)) for k, group in _other_groups(figures)),
+        *((_title(other), _group(figures, other)) for other in figures.tables if other.name != CONTROL.name),
         ("Check points: adjusted less known", _check_points(figures)),
+        (f"Rays of a robust weight below {DOWN_WEIGHTED:g}", _down_weighted(figures)),
         ("Largest residuals of rays", _worst_rays(figures)),
         (f"Correlations over {HIGH_CORRELATION}", _correlations(figures)),
     ]
@@ -54,16 +59,20 @@ def _adjustment(figures: Figures) -> list[str]:
     adjustment, structure = figures.adjustment, figures.structure
     n = adjustment.iterations
     test = global_test(figures.sigma0, adjustment.redundancy)
-    exterior, interior, points = (
-        int(free.sum()) for free in (structure.exterior_free, structure.interior_free, structure.point_free)
-    )
+    free = structure.exterior_free, structure.interior_free, structure.parameter_free, structure.point_free
+    exterior, interior, parameters, points = (int(mask.sum()) for mask in free)
+    unknown = f"images {exterior}, cameras {interior}, "
+    unknown += f"parameters {parameters}, " if structure.parameters else ""
+    inner = inner_constraints(structure)
     verdict = "passed" if test.passed else "not passed"
     figure = [
         ("Block", _counts(figures)),
         ("Observations M", f"{adjustment.observations}"),
-        ("Unknowns N", f"{adjustment.unknowns} (images {exterior}, cameras {interior}, points {points})"),
-        ("Redundancy M - N", f"{adjustment.redundancy}"),
+        ("Unknowns N", f"{adjustment.unknowns} ({unknown}points {points})"),
+        *([("Constraints C", f"{inner}")] if inner else []),
+        (f"Redundancy M - N{' + C' if inner else ''}", f"{adjustment.redundancy}"),
         ("Datum", str(structure.datum)),
+        *_robust(figures),
         ("vTPv", f"{2 * float(n.initial_cost):.8g} at the start, {figures.vtpv:.8g} at the end"),
         ("sigma0", f"{figures.sigma0:.6g} a posteriori, 1 a priori"),
         (
@@ -73,7 +82,15 @@ def _adjustment(figures: Figures) -> list[str]:
         ("Iterations", f"{int(n.trials)}, of which {int(n.accepted)} accepted; {adjustment.method}"),
         ("End", f"{adjustment.status.words}; stopping rule '{adjustment.stopping_rule}' at {float(n.measure):.1e}"),
     ]
-    return [line for label, text in figure for line in wrapped(label, text, 22)]
+    return [line for label, text in figure for line in wrapped(label, text, 23)]
+
+
+def _robust(figures: Figures) -> list[tuple[str, str]]:
+    robust = figures.adjustment.reweighting
+    if robust is None:
+        return []
+    low = f"{len(figures.down_weighted)} of {len(figures.structure.ray_image)} rays below {DOWN_WEIGHTED:g}"
+    return [("Robust weights", f"{robust.name}, limit {robust.limit:g}; {low} after {robust.rounds} rounds")]
 
 
 def _counts(figures: Figures) -> str:
@@ -92,14 +109,11 @@ def _counts(figures: Figures) -> str:
 def _observations(figures: Figures) -> list[str]:
     """The groups of observations: number, root mean square of v / sigma, largest one."""
     of_control = figures.control_point[figures.structure.ray_point]
-    rays, observed = figures.normalised[0], [group.structure.observed for group in figures.groups]
+    rays = figures.normalised[0]
     parts = [
         ("image coordinates of control points", rays[of_control].ravel()),
         ("image coordinates of tie points", rays[~of_control].ravel()),
-        *(
-            (group.structure.kind.name, v[seen])
-            for group, v, seen in zip(figures.groups, figures.normalised[1:], observed, strict=True)
-        ),
+        *((other.title, other.normalised[np.isfinite(other.residuals)]) for other in figures.tables),
     ]
     rows = [
         (name, str(v.size), f"{np.sqrt(np.mean(v**2)):.4g}", f"{np.abs(v).max():.4g}") for name, v in parts if v.size
@@ -156,6 +170,19 @@ def _cameras(figures: Figures) -> list[str]:
     )
 
 
+def _parameters(figures: Figures) -> list[str]:
+    """Those that are unknown, and those held at a value."""
+    structure, t = figures.structure, figures.significance.tolist()
+    shown = np.flatnonzero(structure.parameter_free | (figures.parameters != 0))
+    rows = []
+    for k in shown[:POINTS]:
+        parameter, value, sd = structure.parameters[k], figures.parameters[k], figures.parameters_sd[k]
+        deviation = "held" if not parameter.free else f"{sd:.3g}" if np.isfinite(sd) else "-"
+        rows.append((short(parameter.name, PARAMETER), f"{value:.8g}", deviation, parameter.unit, fixed(t[k], 1)))
+    header = ("parameter", "value", "sd", "unit", "|value|/sd")
+    return table(header, rows, len(shown), "parameters") if rows else []
+
+
 def _points(figures: Figures) -> list[str]:
     structure, unknown = figures.structure, figures.unknown_points
     places = [decimals(column[unknown]) for column in figures.points_sd.T]
@@ -188,9 +215,8 @@ def _control(figures: Figures) -> list[tuple[str, list[str]]]:
     held = [_held(structure.point_names[p], structure.point_free[p]) for p in points[:POINTS]]
     more = f" and {len(points) - POINTS} more" if len(points) > POINTS else ""
     lines = wrapped("Fixed:", ", ".join(held) + more, 10) if held else []
-    for k, group in enumerate(figures.groups):
-        if group.structure.kind is CONTROL:
-            lines += _group(figures, k)
+    for observed in figures.tables:
+        lines += _group(figures, observed) if observed.name == CONTROL.name else []
     return [("Control points: adjusted less observed", lines)]
 
 
@@ -199,31 +225,28 @@ def _held(name: str, free: np.ndarray) -> str:
     return f"{name} ({', '.join(np.array(list('XYZ'))[~free])})" if free.any() else name
 
 
-def _other_groups(figures: Figures) -> list[tuple[int, ObservationGroup]]:
-    return [(k, group) for k, group in enumerate(figures.groups) if group.structure.kind is not CONTROL]
+def _title(observed: GroupTable) -> str:
+    unit = f" [{observed.units[0]}]" if observed.units[0] else ""
+    return f"{observed.title.capitalize()}: computed less observed{unit}"
 
 
-def _title(group: ObservationGroup) -> str:
-    return f"{group.structure.kind.name.capitalize()}: computed less observed"
-
-
-def _group(figures: Figures, k: int) -> list[str]:
-    """Residuals of a group, their standard deviations a priori and v / (sigma0 sigma)."""
-    group = figures.groups[k]
-    observed, components = group.structure.observed, group.structure.kind.components
-    residuals, sigmas = figures.residuals[k + 1], np.asarray(group.sigmas)
-    places = decimals(sigmas[observed]) + 1
-    names = member_names(figures.structure, group)
+def _group(figures: Figures, observed: GroupTable) -> list[str]:
+    """Residuals of a kind of observation, their standard deviations a priori and v / (sigma0 sigma)."""
+    residuals, sigmas, components = observed.residuals, observed.sigmas, observed.components
+    places = decimals(sigmas) + 1
+    names = {key: column for key, column in observed.who.items() if key != "parameters" or len(components) < 3}
+    of_parameter = PARAMETER if len(names) == 1 else OWNER
+    longest = [of_parameter if key == "parameter" else NAME for key in names]
     scale = figures.sigma0 if figures.sigma0 > 0 else np.inf
     rows = []
-    for m in range(min(len(observed), POINTS)):
+    for m in range(min(len(residuals), POINTS)):
         cells = [(fixed(residuals[m, c], places), f"{sigmas[m, c]:.3g}") for c in range(len(components))]
-        cells = [cell if seen else ("-", "-") for cell, seen in zip(cells, observed[m], strict=True)]
-        size = np.abs(figures.normalised[k + 1][m]).max() / scale
-        who = [short(column[m]) for column in names.values()]
+        cells = [cell if np.isfinite(v) else ("-", "-") for cell, v in zip(cells, residuals[m], strict=True)]
+        size = np.abs(observed.normalised[m]).max() / scale
+        who = [short(column[m], most) for column, most in zip(names.values(), longest, strict=True)]
         rows.append((*who, *(v for v, _ in cells), *(s for _, s in cells), f"{size:.2f}"))
     header = (*names, *(f"v {c}" for c in components), *(f"sigma {c}" for c in components), "v/(sigma0 sigma)")
-    return table(header, rows, len(observed), group.structure.kind.name, left=len(names))
+    return table(header, rows, len(residuals), observed.title, left=len(names))
 
 
 def _check_points(figures: Figures) -> list[str]:
@@ -252,6 +275,23 @@ def _check_points(figures: Figures) -> list[str]:
     ]
 
 
+def _down_weighted(figures: Figures) -> list[str]:
+    structure, rays, weights, v = figures.structure, figures.down_weighted, figures.weights, figures.residuals[0]
+    if weights is None:
+        return []
+    rows = [
+        (
+            short(structure.image_names[structure.ray_image[ray]]),
+            short(structure.point_names[structure.ray_point[ray]]),
+            *(f"{component:.4g}" for component in v[ray]),
+            structure.cameras[structure.image_camera[structure.ray_image[ray]]].image_unit,
+            f"{weights[ray]:.3f}",
+        )
+        for ray in rays[:POINTS]
+    ]
+    return table(("image", "point", "vx", "vy", "", "weight"), rows, len(rays), "rays", left=2) if rows else ["  none"]
+
+
 def _worst_rays(figures: Figures) -> list[str]:
     structure, size, v = figures.structure, figures.ray_size, figures.residuals[0]
     count = min(WORST, len(size))
@@ -267,5 +307,7 @@ def _worst_rays(figures: Figures) -> list[str]:
 
 def _correlations(figures: Figures) -> list[str]:
     high = [pair for pair in figures.correlations() if abs(pair[3]) > HIGH_CORRELATION]
-    rows = [(short(figures.structure.cameras[c].name), a, b, f"{r:.4f}") for c, a, b, r in high[:CAMERAS]]
-    return table(("camera", "", "", "correlation"), rows, len(high), "pairs", left=3) if rows else []
+    pairs = [(short(figures.structure.cameras[c].name), a, b, r) for c, a, b, r in high]
+    pairs += [("", short(a, PARAMETER), short(b, PARAMETER), r) for a, b, r in figures.parameter_correlations()]
+    rows = [(camera, a, b, f"{r:.4f}") for camera, a, b, r in pairs[:CAMERAS]]
+    return table(("camera", "", "", "correlation"), rows, len(pairs), "pairs", left=3) if rows else []

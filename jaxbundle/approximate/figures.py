@@ -1,0 +1,84 @@
+"""Approximate values of what approximate coordinates tell: orientations of sets of directions, planes and lines.
+
+A plane or line is described in a fixed frame (block/geodetic.py) at the centre of gravity of its points, whose axes are
+the right singular vectors of their coordinates from there: of a plane, the third axis has the smallest singular value;
+of a line, the largest. In this frame all parameters are 0.
+"""
+
+from collections.abc import Iterator
+
+import equinox as eqx
+import numpy as np
+from jaxtyping import Float, Int
+
+from jaxbundle.block.block import Block
+from jaxbundle.block.geodetic import LINES, PLANES, geodetic_kind
+from jaxbundle.block.problems import Problem
+from jaxbundle.numerics.host import on_device
+
+DEGENERATE = 1e-6  # extent across over extent along: points that lie on a line, or in one place
+ORDER = {PLANES: (0, 1, 2), LINES: (1, 2, 0)}  # axes of the frame by falling extent of the points
+DIRECTIONS = tuple(
+    geodetic_kind("directions", start, end) for start in ("point", "image") for end in ("point", "image")
+)
+
+
+def with_figures(block: Block) -> tuple[Block, list[Problem]]:
+    """The block with parameters and frames in place of those that are NaN, and figures that cannot be fitted."""
+    values = np.array(block.parameters)
+    constants = [np.array(group.constants) for group in block.groups]
+    problems = []
+    for group, frames in zip(block.groups, constants, strict=True):
+        kind, indices = group.structure.kind, group.structure.indices
+        if kind in DIRECTIONS:
+            unknown, first = np.unique(indices[:, 2], return_index=True)
+            azimuths = _azimuths(block, kind.touches, indices[first]) - np.asarray(group.values)[first, 0]
+            values[unknown] = np.where(np.isnan(values[unknown]), azimuths % (2 * np.pi), values[unknown])
+        elif kind in ORDER:
+            for members in _figures(indices, np.flatnonzero(np.isnan(frames[:, 0]))):
+                points = np.asarray(block.object_points)[indices[members, 0]]
+                frame = _frame(points, ORDER[kind], PLANES is kind) if np.isfinite(points).all() else None
+                frames[members] = np.concatenate([points.mean(0), np.eye(3).ravel()]) if frame is None else frame
+                values[indices[members[0], 1:]] = 0.0
+                if frame is None and np.isfinite(points).all():
+                    problems.append(_no_figure(block, kind is PLANES, int(members[0]), indices[members[0]]))
+    groups = tuple(
+        eqx.tree_at(lambda g: g.constants, group, on_device(frames))
+        for group, frames in zip(block.groups, constants, strict=True)
+    )
+    return eqx.tree_at(lambda b: (b.parameters, b.groups), block, (on_device(values), groups)), problems
+
+
+def _azimuths(block: Block, touches: tuple[str, ...], indices: Int[np.ndarray, "row 3"]) -> Float[np.ndarray, " row"]:
+    positions = {"point": np.asarray(block.object_points), "image": np.asarray(block.exterior.projection_centre)}
+    start, end = (positions[touches[k]][indices[:, k]] for k in range(2))
+    return np.arctan2(end[:, 0] - start[:, 0], end[:, 1] - start[:, 1])
+
+
+def _figures(
+    indices: Int[np.ndarray, "member touched"], wanted: Int[np.ndarray, " row"]
+) -> Iterator[Int[np.ndarray, " member"]]:
+    """The members of each figure of which a row is wanted."""
+    for parameters in np.unique(indices[wanted, 1:], axis=0):
+        yield np.flatnonzero((indices[:, 1:] == parameters).all(1))
+
+
+def _frame(
+    points: Float[np.ndarray, "point 3"], order: tuple[int, int, int], plane: bool
+) -> Float[np.ndarray, "12"] | None:
+    """Origin and axes; None where the points do not determine the figure."""
+    origin = points.mean(0)
+    _, extent, axes = np.linalg.svd(points - origin)
+    size = np.append(extent, 0.0)
+    # coordinates themselves carry rounding of their own size
+    least = max(DEGENERATE * size[0], 1e3 * np.finfo(float).eps * np.abs(points).max())
+    if (size[1] if plane else size[0]) <= least:
+        return None
+    return np.concatenate([origin, axes[list(order)].T.ravel()])
+
+
+def _no_figure(block: Block, plane: bool, row: int, indices: np.ndarray) -> Problem:
+    name = block.structure.parameters[indices[1]].name.partition(" of ")[2]
+    where = "lie on one line" if plane else "lie in one place"
+    cure = f"name points that are spread over the {'plane' if plane else 'line'}, or correct their coordinates"
+    return Problem(f"{name}: its points {where}", cure, "planes" if plane else "lines", row)

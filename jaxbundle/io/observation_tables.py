@@ -1,0 +1,220 @@
+"""Tables of what is observed between points and images, and of points on common figures.
+
+    distances  horizontal_distances  height_differences  azimuths  zenith_angles      from,to,VALUE,sigma
+    directions                                                                        set,from,to,direction,sigma
+    scale_bars, bars                                              bar,from,to,sigma and bar,length,sigma
+    plumb_lines, lines                                                                line,point,sigma
+    planes                                                                            plane,point,sigma
+
+`from` and `to` are names of points, or "image:" and the name of an image for its projection centre. Angles and their
+sigmas are in the unit of the folder.
+"""
+
+from collections.abc import Iterable, Mapping, Sequence
+from dataclasses import dataclass
+from typing import NamedTuple
+
+import numpy as np
+import polars as pl
+from jaxtyping import Bool, Float, Int
+
+from jaxbundle.io.findings import Findings
+from jaxbundle.io.tables import Table, listed, positions_of
+
+IMAGE = "image:"  # before the name of an image in `from` and `to`
+PAIRS = {  # table: the column of the value, what a row is called
+    "distances": ("distance", "distance"),
+    "horizontal_distances": ("distance", "horizontal distance"),
+    "height_differences": ("difference", "height difference"),
+    "azimuths": ("azimuth", "azimuth"),
+    "zenith_angles": ("angle", "zenith angle"),
+    "directions": ("direction", "direction"),
+    "scale_bars": ("", "scale bar"),
+}
+OWNERS = {"directions": "set", "scale_bars": "bar"}  # the column of what the rows of a table have in common
+FIGURES = {"plumb_lines": ("line", 2), "planes": ("plane", 3), "lines": ("line", 2)}  # column, fewest points
+POSITIVE = {"distances", "horizontal_distances"}
+UNKNOWN_POINT = (
+    "measure it on an image, give it X, Y and Z in points.csv or control.csv, correct the name or drop the row"
+)
+
+Columns = dict[str, tuple[str, tuple[str, ...], tuple[str, ...]]]
+
+
+def _pair_columns(kind: str) -> tuple[str, tuple[str, ...], tuple[str, ...]]:
+    value, called = PAIRS[kind]
+    owner = (OWNERS[kind],) if kind in OWNERS else ()
+    of = f" of {owner[0]} {{{owner[0]}}}" if owner else ""
+    return f"{called} {{from}} - {{to}}{of}", (*owner, "from", "to", *([value] if value else []), "sigma"), ()
+
+
+COLUMNS: Columns = {
+    **{kind: _pair_columns(kind) for kind in PAIRS},
+    "bars": ("bar {bar}", ("bar", "length", "sigma"), ()),
+    "plumb_lines": ("point {point} of plumb line {line}", ("line", "point", "sigma"), ()),
+    "planes": ("point {point} of plane {plane}", ("plane", "point", "sigma"), ()),
+    "lines": ("point {point} of line {line}", ("line", "point", "sigma"), ()),
+}
+
+
+class Entities(NamedTuple):
+    """What the ends of an observation may be."""
+
+    points: Sequence[str]
+    images: Sequence[str]
+    images_file: str
+    half_turn: float  # in the angle unit of the folder
+
+
+@dataclass(frozen=True)
+class PairRows:
+    """Observations from a point or image to another; `is_image` tells which of the two an index counts.
+
+    `owners` are the sets or bars in the order of their first row; `values` is 0 for scale bars.
+    """
+
+    table: Table
+    is_image: Bool[np.ndarray, "row 2"]
+    indices: Int[np.ndarray, "row 2"]
+    values: Float[np.ndarray, "row 1"]
+    sigmas: Float[np.ndarray, "row 1"]
+    owner: Int[np.ndarray, " row"]
+    owners: tuple[str, ...]
+
+    @property
+    def usable(self) -> Bool[np.ndarray, " row"]:
+        """Rows whose ends are known."""
+        return (self.indices >= 0).all(1) & (self.owner >= 0)
+
+
+@dataclass(frozen=True)
+class FigureRows:
+    """Points on figures; a plumb line is observed from its first point to every other."""
+
+    table: Table
+    figure: Int[np.ndarray, " row"]
+    figures: tuple[str, ...]
+    point: Int[np.ndarray, " row"]
+    sigmas: Float[np.ndarray, " row"]
+
+    @property
+    def usable(self) -> Bool[np.ndarray, " row"]:
+        """Rows whose point and figure are known."""
+        return (self.point >= 0) & (self.figure >= 0)
+
+
+@dataclass(frozen=True)
+class BarRows:
+    """bars.csv; sigma 0 holds the length, NaN leaves it unknown, else it is observed."""
+
+    table: Table
+    names: tuple[str, ...]
+    lengths: Float[np.ndarray, " bar"]
+    sigmas: Float[np.ndarray, " bar"]
+
+
+def points_named(tables: Mapping[str, Table]) -> Iterable[str]:
+    """The points that tables of observations name."""
+    for kind in (*PAIRS, *FIGURES):
+        for column in ("from", "to") if kind in PAIRS else ("point",):
+            if kind in tables:
+                yield from (name for name in tables[kind].text[column] if name and not name.startswith(IMAGE))
+
+
+def pair_rows(kind: str, table: Table, entities: Entities, bars: BarRows | None, bars_file: str) -> PairRows:
+    """A table of observations between two ends."""
+    ends = [_end(table, column, entities) for column in ("from", "to")]
+    for row in ((table.text["from"] == table.text["to"]) & (table.text["from"] != "")).arg_true():
+        table.note(row, "both ends are the same", "correct one of them or drop the row")
+    column, called = PAIRS[kind]
+    values = table.numbers(column, needed=True) if column else np.zeros((len(table.lines), 1))
+    if kind in POSITIVE:
+        for row in np.flatnonzero(values[:, 0] <= 0).tolist():
+            table.note(row, f"the {called} is not positive", "give a positive one or drop the row")
+    if kind == "zenith_angles":
+        for row in np.flatnonzero((values[:, 0] <= 0) | (values[:, 0] >= entities.half_turn)).tolist():
+            what = f"the zenith angle is not between 0 and {entities.half_turn:g}"
+            table.note(row, what, "reduce it to the first face, or drop the row")
+    sigmas = table.sigmas("sigma", zero="give a positive one", needed=True)
+    is_image, indices = (np.stack(part, 1) for part in zip(*ends, strict=True))
+    order = np.lexsort((is_image[:, 1], is_image[:, 0]))  # stable: points before images
+    owner, owners = np.zeros(len(table.lines), int), ()
+    if kind == "scale_bars":
+        owners = bars.names if bars else ()
+        owner = table.positions("bar", owners, bars_file) if bars else owner - 1
+    elif kind == "directions":
+        owner, owners = _numbered(table.names("set"), order)
+        _one_station_a_set(table, owners)
+    return PairRows(table, is_image, indices, values, sigmas, owner, owners)
+
+
+def _end(table: Table, column: str, entities: Entities) -> tuple[Bool[np.ndarray, " row"], Int[np.ndarray, " row"]]:
+    """Which ends are images, and their positions."""
+    names = table.names(column)
+    is_image = names.str.starts_with(IMAGE)
+    images = positions_of(names.str.strip_prefix(IMAGE), entities.images)
+    positions = np.where(is_image.to_numpy(), images, positions_of(names, entities.points))
+    for row in (pl.Series(positions < 0) & (names != "")).arg_true():
+        if is_image[row]:
+            cure = f"add it there, correct the name behind '{IMAGE}' or drop the row"
+            table.note(row, f"{column} {names[row]} is not in {entities.images_file}", cure)
+        else:
+            table.note(row, f"{column} {names[row]} is on no image and has no coordinates", UNKNOWN_POINT)
+    return is_image.to_numpy(), positions
+
+
+def _numbered(names: pl.Series, order: Int[np.ndarray, " row"]) -> tuple[Int[np.ndarray, " row"], tuple[str, ...]]:
+    """The number of each name, and the names in the order of their first row; -1 for a blank one."""
+    distinct = names[order].unique(maintain_order=True)
+    distinct = tuple(distinct.filter(distinct != ""))
+    return positions_of(names, distinct), distinct
+
+
+def _one_station_a_set(table: Table, sets: Sequence[str]) -> None:
+    first: dict[str, tuple[str, int]] = {}
+    rows = zip(table.text["set"], table.text["from"], table.lines.tolist(), strict=True)
+    for row, (name, station, line) in enumerate(rows):
+        stands, at = first.setdefault(name, (station, line))
+        if name in sets and stands != station and "" not in (stands, station):
+            table.note(row, f"set {name} was observed from {stands} (line {at})", "give it a set of its own")
+
+
+def bar_rows(table: Table) -> BarRows:
+    """The lengths of scale bars."""
+    names = table.names("bar")
+    table.unique("bar")
+    lengths = table.numbers("length", needed=True)[:, 0]
+    for row in np.flatnonzero(lengths <= 0).tolist():
+        table.note(row, "the length is not positive", "give a positive one, approximate where sigma is empty")
+    return BarRows(table, tuple(names), lengths, table.sigmas("sigma")[:, 0])
+
+
+def figure_rows(kind: str, table: Table, points: Sequence[str], findings: Findings) -> FigureRows:
+    """A table of points on plumb lines, planes or lines."""
+    column, fewest = FIGURES[kind]
+    names, wanted = table.names(column), table.names("point")
+    table.unique(column, "point")
+    point = positions_of(wanted, points)
+    for row in (pl.Series(point < 0) & (wanted != "")).arg_true():
+        table.note(row, f"point {wanted[row]} is on no image and has no coordinates", UNKNOWN_POINT)
+    figure, figures = _numbered(names, np.arange(len(names)))
+    sigmas = table.sigmas("sigma", zero="give a positive one")[:, 0]
+    first = np.array([int(np.argmax(figure == k)) for k in range(len(figures))], int)
+    for row in np.flatnonzero(np.isnan(sigmas) & (table.text["sigma"] == "").to_numpy()).tolist():
+        if kind != "plumb_lines" or row not in first:
+            table.note(row, "sigma is not given", "give a number or drop the row")
+    count = np.bincount(figure[figure >= 0], minlength=len(figures))
+    for k in np.flatnonzero(count < fewest).tolist():
+        what = f"{kind.removesuffix('s').replace('_', ' ')} {figures[k]} has {count[k]} of the {fewest} points it needs"
+        findings.add(table.file, int(table.lines[first[k]]), what, "name more of its points or drop it")
+    return FigureRows(table, figure, figures, point, sigmas)
+
+
+def unused(names: Sequence[str], used: Iterable[int], what: str) -> list[str]:
+    """A sentence about what is defined and not used."""
+    taken = set(used)
+    left = [name for k, name in enumerate(names) if k not in taken]
+    if not left:
+        return []
+    be, take = ("is", "takes") if len(left) == 1 else ("are", "take")
+    return [f"{what}{'' if len(left) == 1 else 's'} {listed(left)} {be} in no table and {take} no part"]
