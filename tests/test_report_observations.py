@@ -227,6 +227,13 @@ def test_robust_weights_that_are_all_believed(simple) -> None:
     assert "Robust" not in report_text(simple) and "robust" not in report_dict(simple)
 
 
+def test_a_small_sigma0_of_robust_weights_says_nothing(simple) -> None:
+    small = dataclasses.replace(simple, weighted_residuals=tuple(0.5 * v for v in simple.weighted_residuals))
+    assert any("sigma0 is" in sentence for sentence in words(small))
+    low = robust(small, np.ones(len(simple.block.structure.ray_image)))
+    assert not any("sigma0 is" in sentence for sentence in words(low))
+
+
 @pytest.mark.parametrize("held", [False, True])
 def test_free_network(simple, held: bool) -> None:
     """Constraints count in the redundancy unless the elements they stand for are held meanwhile."""
