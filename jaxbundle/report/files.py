@@ -22,6 +22,7 @@ from jaxbundle.report.group_tables import GroupTable, table_names
 from jaxbundle.report.tables import dict_of
 from jaxbundle.report.text import text_of
 from jaxbundle.solve.adjustment import Adjustment
+from jaxbundle.statistics.reliability import reliability
 
 TEXT, DATA = "report.txt", "report.json"
 
@@ -181,6 +182,18 @@ def _rays(figures: Figures) -> Columns:
         **_columns(("x", "y"), np.asarray(rays.coordinates)),
         **_columns(("x", "y"), np.asarray(rays.sigmas), "s"),
         **_columns(("x", "y"), figures.residuals[0], "v"),
+        **_reliability(figures),
+    }
+
+
+def _reliability(figures: Figures) -> Columns:
+    """Redundancy numbers and standardised residuals of the rays, where there are any."""
+    if figures.adjustment.redundancy_numbers is None:
+        return {}
+    found = reliability(figures.adjustment)
+    return {
+        **_columns(("x", "y"), found.redundancy_numbers[0], "r"),
+        **_columns(("x", "y"), found.w[0], "w"),
     }
 
 

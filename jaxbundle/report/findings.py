@@ -10,6 +10,7 @@ from typing import NamedTuple
 import numpy as np
 from scipy.special import chdtri
 
+from jaxbundle.report.diagnosis import diagnosis
 from jaxbundle.report.figures import HIGH_CORRELATION, Figures, figures_of
 from jaxbundle.solve.adjustment import DOWN_WEIGHTED, Adjustment, Status
 
@@ -80,6 +81,7 @@ def findings_of(figures: Figures) -> list[Finding]:
             *_sigma0(figures),
             *suggestions,
             *_ill_fitting_control(figures),
+            *diagnosis(figures),
             *_correlated(figures),
             *_insignificant(figures),
             *_insignificant_parameters(figures),

@@ -12,6 +12,7 @@ import numpy as np
 from jaxbundle.block.block import Structure
 from jaxbundle.report.figures import Figures, figures_of
 from jaxbundle.report.findings import findings_of, global_test
+from jaxbundle.report.reliability_table import reliability_of_groups
 from jaxbundle.solve.adjustment import Adjustment
 
 
@@ -56,6 +57,7 @@ def dict_of(figures: Figures) -> dict[str, Any]:
         "check_points": _check_points(figures, [structure.point_names[p] for p in check]),
         **_inner_orientations(figures),
         "correlations": _correlations(figures),
+        "reliability": reliability_of_groups(figures),
         "high_parameter_correlations": [list(pair) for pair in figures.parameter_correlations()],
     }
 

@@ -9,6 +9,7 @@ from jaxbundle.report.columns import NAME, WIDTH, aligned, decimals, deviation, 
 from jaxbundle.report.figures import HIGH_CORRELATION, Figures, figures_of
 from jaxbundle.report.findings import Finding, findings_of, global_test
 from jaxbundle.report.group_tables import GroupTable
+from jaxbundle.report.reliability_table import reliability_lines
 from jaxbundle.report.tables import inner_constraints
 from jaxbundle.solve.adjustment import DOWN_WEIGHTED, Adjustment
 
@@ -38,6 +39,7 @@ def text_of(figures: Figures) -> str:
         ("Check points: adjusted less known", _check_points(figures)),
         (f"Rays of a robust weight below {DOWN_WEIGHTED:g}", _down_weighted(figures)),
         ("Largest residuals of rays", _worst_rays(figures)),
+        ("Reliability", reliability_lines(figures)),
         (f"Correlations over {HIGH_CORRELATION}", _correlations(figures)),
     ]
     title = f"Adjustment of block {structure.name or '(unnamed)'}"
