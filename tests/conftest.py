@@ -4,6 +4,7 @@ from pathlib import Path
 import jax
 import pytest
 
+from jaxbundle.numerics import programs
 from jaxbundle.numerics.compilation import Compiled
 
 jax.config.update("jax_enable_x64", True)
@@ -16,6 +17,7 @@ def pytest_configure(config: pytest.Config) -> None:
     """Compiled programs are kept beside pytest's own cache: the workers share them, and the next run has them."""
     if hasattr(config, "cache"):
         jax.config.update("jax_compilation_cache_dir", str(config.cache.mkdir("compiled")))
+        programs.keep_in(Path(config.cache.mkdir("programs")))
         jax.config.update("jax_persistent_cache_min_compile_time_secs", 0.1)
         jax.config.update("jax_persistent_cache_min_entry_size_bytes", -1)
 

@@ -1,6 +1,7 @@
 """Blocks with every kind of observation, at their true values: what is observed is computed from the truth."""
 
 import dataclasses
+from collections.abc import Callable
 
 import equinox as eqx
 import jax
@@ -132,11 +133,15 @@ def correlated(block: Block) -> Block:
 
 
 CASES = {"geodetic": geodetic, "figures": figures, "navigation": navigation, "correlated": correlated}
+PAIRS = {
+    "geodetic and navigation": lambda block: navigation(geodetic(block)),
+    "figures and correlated": lambda block: correlated(figures(block)),
+}
 
 
 def case(name: str) -> Block:
     """One of the blocks, its datum chosen."""
-    return with_datum(CASES[name](strip()))
+    return with_datum((CASES | PAIRS)[name](strip()))
 
 
 def drawn(block: Block, key: Array) -> Block:
@@ -156,3 +161,8 @@ def drawn(block: Block, key: Array) -> Block:
         eqx.tree_at(lambda g: g.values, g, g.values + errors(g, k)) for g, k in zip(block.groups, keys[1:], strict=True)
     )
     return eqx.tree_at(lambda b: (b.rays.coordinates, b.groups), block, (rays, groups))
+
+
+def in_batches(one: Callable, size: int = 100) -> Callable:
+    """`one` vmapped over batches: all draws at once would take gigabytes."""
+    return lambda keys: jax.lax.map(one, keys, batch_size=size)

@@ -26,6 +26,8 @@ from jaxbundle.statistics.subsets import (
     tie_rays,
 )
 
+pytestmark = pytest.mark.xdist_group("component_guards")  # its fixtures are dear: one worker makes them
+
 
 @pytest.fixture(scope="module")
 def block() -> Block:

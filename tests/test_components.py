@@ -14,6 +14,8 @@ from jaxbundle.statistics.components import VarianceComponents, helmert_system, 
 from jaxbundle.statistics.dense import redundancy_numbers
 from jaxbundle.statistics.subsets import three_groups
 
+pytestmark = pytest.mark.xdist_group("components")  # its fixtures are dear: one worker makes them
+
 RUNS = 40
 A_PRIORI = np.array([0.005, 0.005, 0.1])  # what the adjuster believes
 FOUND, SCATTER = np.array([0.00791, 0.00397, 0.0504]), np.array([0.00056, 0.00019, 0.0104])  # of 40 runs elsewhere

@@ -10,6 +10,8 @@ from jaxbundle.report import report_dict, report_text
 from jaxbundle.solve.adjust import adjust
 from jaxbundle.statistics.reliability import redundancy_numbers
 
+pytestmark = pytest.mark.xdist_group("diagnosis")  # its fixtures are dear: one worker makes them
+
 
 @pytest.fixture(scope="module")
 def block():

@@ -6,21 +6,24 @@ import jax.numpy as jnp
 import numpy as np
 import pytest
 from dense import centred, dense_cofactors, dense_step, dense_system, difference, free_values, sizes
-from heterogeneous import CASES, case, drawn
+from heterogeneous import PAIRS, case, drawn
 from jaxtyping import Array
 from scipy.stats import chi2
 from test_elimination import DAMPINGS, block_steps
 
 from jaxbundle.block.block import Block
 from jaxbundle.block.unknowns import unknowns_of
+from jaxbundle.numerics.compilation import QUICKLY
 from jaxbundle.solve.adjust import adjust
 from jaxbundle.solve.adjustment import Adjustment, Status
+
+pytestmark = pytest.mark.xdist_group("heterogeneous")  # its fixtures are dear: one worker makes them
 
 DRAWS = 500
 ONE_IN_A_MILLION = 1e-6
 
 
-@pytest.fixture(scope="module", params=[pytest.param(name, marks=pytest.mark.xdist_group(name)) for name in CASES])
+@pytest.fixture(scope="module", params=PAIRS)
 def block(request) -> Block:
     return case(request.param)
 
@@ -88,7 +91,9 @@ def test_scatter_is_the_reported_covariance(block, reported):
         found = adjust(drawn(block, key), precision=False, max_iterations=20)
         return unknowns_of(found.block), found.block.exterior.angles, found.vtpv, found.iterations.status
 
-    unknowns, angles, vtpv, status = jax.jit(jax.vmap(one))(jax.random.split(jax.random.key(8), DRAWS))
+    unknowns, angles, vtpv, status = jax.jit(jax.vmap(one), compiler_options=QUICKLY)(
+        jax.random.split(jax.random.key(8), DRAWS)
+    )
     assert (np.asarray(status) == Status.CONVERGED).all()
     truth, (_, o) = unknowns_of(block), centred(block)
     errors = np.array(

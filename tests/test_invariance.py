@@ -191,4 +191,7 @@ def test_horizontal_cameras(block, reference, sign):
         points=turned(reference.points, sign),
         point_sd=reference.point_sd[:, [0, 2, 1]],
     )
-    assert_same(results(adjust(upright)), expected)
+    adjusted = adjust(upright)
+    assert adjusted.trustworthy
+    assert all(np.isfinite(sd).all() for sd in adjusted.standard_deviations)
+    assert_same(results(adjusted), expected)

@@ -17,6 +17,8 @@ from jaxbundle.planning.flight import AerialCamera
 from jaxbundle.planning.simulate import exact_coordinates, simulate
 from jaxbundle.solve.adjust import adjust
 
+pytestmark = pytest.mark.xdist_group("long_tracks")  # its fixtures are dear: one worker makes them
+
 HEIGHT = 1500.0
 CAMERA = AerialCamera(principal_distance=100.0, width=104.0, height=68.0, pixel_size=0.006, offset=(0.05, -0.03))
 INTERIOR = ("principal_distance", "x0", "y0")
@@ -103,7 +105,7 @@ BLOCKS = {
 }
 
 
-@pytest.fixture(scope="module", params=[pytest.param(name, marks=pytest.mark.xdist_group(name)) for name in BLOCKS])
+@pytest.fixture(scope="module", params=BLOCKS)
 def block(request) -> Block:
     return BLOCKS[request.param]()
 
@@ -172,8 +174,9 @@ def test_a_point_on_every_one_of_many_images():
     ids=["short", "both", "long", "many"],
 )
 @pytest.mark.parametrize("devices", [1, 2])
-def test_every_ray_has_one_cell(tracks, slots, devices):
+def test_every_ray_has_one_cell(tracks, slots, devices, monkeypatch):
     """And there are chunks of long tracks only where there are long tracks."""
+    monkeypatch.setattr("jaxbundle.normals.arrange.BORDER_SHARE", 0.0)
     block = block_of([np.array(track) for track in tracks], 100, ())
     structure = block.structure
     plan = arrange(structure, block.groups, np.asarray(block.exterior.projection_centre), devices)

@@ -11,6 +11,8 @@ from test_free_network import inner
 from jaxbundle.solve.adjust import adjust
 from jaxbundle.statistics.precision import covariance_of, error_ellipses, error_ellipsoids
 
+pytestmark = pytest.mark.xdist_group("precision")  # its fixtures are dear: one worker makes them
+
 
 @pytest.fixture(scope="module")
 def reported():

@@ -5,6 +5,8 @@ from pathlib import Path
 
 import jax
 
+from jaxbundle.numerics import programs
+
 MOST_DEVICES = 8  # each holds the reduced normal equations in full
 
 
@@ -13,6 +15,7 @@ def start() -> None:
     jax.config.update("jax_enable_x64", True)
     jax.config.update("jax_num_cpu_devices", min(_cores(), MOST_DEVICES))
     jax.config.update("jax_compilation_cache_dir", str(cache_folder()))
+    programs.keep_in(cache_folder() / "programs")
     jax.config.update("jax_persistent_cache_min_compile_time_secs", 0.0)
     jax.config.update("jax_persistent_cache_min_entry_size_bytes", -1)
 

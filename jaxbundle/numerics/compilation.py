@@ -2,6 +2,7 @@
 
 from collections.abc import Callable, Hashable
 from typing import Any, ClassVar
+from uuid import uuid4
 from weakref import WeakSet
 
 import equinox as eqx
@@ -18,8 +19,8 @@ QUICKLY = {"xla_backend_optimization_level": 0}
 class Compiled:
     """A function compiled for the arrays of its arguments; everything else in them is static and must be hashable.
 
-    With `optimised` False the program is compiled in about half the time. Where JAX's compilation cache is switched on,
-    programs are kept beside it and found again by the next process.
+    With `optimised` False the program is compiled in about half the time. Programs are kept and found again by the next
+    process where a folder for them is given (`programs.keep_in`).
     """
 
     _all: ClassVar["WeakSet[Compiled]"] = WeakSet()
@@ -67,8 +68,9 @@ class Compiled:
             value.append(jax.tree.unflatten(out_structure, range(len(out))))
             return out
 
-        # what comes out of JAX's cache cannot be written again: its key, of which the name is part, must not be found
-        on_leaves.__name__ = f"{self.function.__name__}_{file.name if file else ''}"
+        if file:
+            # what comes out of JAX's own cache cannot be written again: under a new name it is not found there
+            on_leaves.__name__ = f"{self.function.__name__}_{uuid4().hex}"
         compiled = jax.jit(on_leaves, compiler_options=options).lower(*arrays).compile()
         if file:
             programs.keep(file, compiled, len(arrays), value[0])

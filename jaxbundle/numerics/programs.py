@@ -26,7 +26,6 @@ from jax.experimental import serialize_executable
 
 PACKAGE = Path(__file__).parent.parent
 VERSIONED = ("jax", "jaxlib", "equinox", "optimistix", "lineax", "numpy")
-FOLDER = "programs"
 
 
 class Program(NamedTuple):
@@ -51,15 +50,22 @@ class _Pickler(pickle.Pickler):
         return NotImplemented
 
 
-def _setting(name: str) -> Any:
-    """An option of JAX, whose attributes no type checker knows."""
-    return getattr(jax.config, name)
+_kept_in: list[Path] = []  # at most one
+
+
+def keep_in(path: Path) -> None:
+    """Keeps the programs of this process in a folder from now on."""
+    _kept_in[:] = [path]
 
 
 def folder() -> Path | None:
-    """Where programs are kept: beside JAX's own cache of compilations, None where that is not used."""
-    within = _setting("jax_compilation_cache_dir")
-    return Path(within) / FOLDER if within else None
+    """Where programs are kept, None where they are not."""
+    return _kept_in[0] if _kept_in else None
+
+
+def _setting(name: str) -> Any:
+    """An option of JAX, whose attributes no type checker knows."""
+    return getattr(jax.config, name)
 
 
 @cache

