@@ -10,7 +10,6 @@ from jaxbundle.numerics.compilation import Compiled
 jax.config.update("jax_enable_x64", True)
 jax.config.update("jax_num_cpu_devices", 4)
 
-MOST_MAPS = 30_000
 SHARED_DATA = Path(__file__).parents[2] / "shared" / "data"
 
 
@@ -27,10 +26,8 @@ def pytest_configure(config: pytest.Config) -> None:
 def forgotten_programs():
     """Programs hold memory maps, of which a process may have some 65 thousand (vm.max_map_count)."""
     yield
-    maps = Path("/proc/self/maps")
-    if maps.exists() and maps.read_text().count("\n") > MOST_MAPS:
-        Compiled.forget()
-        jax.clear_caches()
+    Compiled.forget()
+    jax.clear_caches()
 
 
 @pytest.fixture(scope="session")

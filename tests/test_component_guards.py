@@ -26,7 +26,7 @@ from jaxbundle.statistics.subsets import (
     tie_rays,
 )
 
-pytestmark = pytest.mark.xdist_group("component_guards")  # its fixtures are dear: one worker makes them
+pytestmark = [pytest.mark.thorough, pytest.mark.xdist_group("component_guards")]
 
 
 @pytest.fixture(scope="module")
