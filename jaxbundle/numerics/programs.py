@@ -112,6 +112,8 @@ def load(file: Path) -> Program | None:
 
 def keep(file: Path, compiled: jax.stages.Compiled, leaves: int, value: Any) -> None:
     """Keeps a program of so many leaves, if it can be; a reader sees a whole file or none."""
+    if "lapack" in (compiled.as_text() or ""):
+        return  # JAX prepares LAPACK when it lowers a call: in a process that only loads the program it would crash
     shardings = jax.tree.leaves(compiled.input_shardings)  # None for a leaf that is not used
     devices = max((len(sharding.device_set) for sharding in shardings), default=1)
     try:

@@ -27,6 +27,7 @@ from jaxbundle.block.unknowns import Unknowns, attitude_derivatives
 from jaxbundle.geometry import rotation
 from jaxbundle.normals.arrange import Arranged, Arrangement, Problem
 from jaxbundle.normals.cofactors import Cofactors
+from jaxbundle.normals.inverse_factor import inverse_factor
 from jaxbundle.normals.solution import NormalVector, solve_normals
 from jaxbundle.numerics.compilation import Compiled
 from jaxbundle.numerics.host import is_concrete, on_device
@@ -112,7 +113,8 @@ def _inner_cofactors(
         g.border * _border(carrying[places:], first),
         g.tiles * carrying[:places].reshape(tiles),
     )
-    m = jnp.linalg.inv(_products(chosen, g))
+    inverse = inverse_factor(_products(chosen, g))
+    m = inverse.T @ inverse
     q = solve_normals(unknowns, p, chosen)
     d = m @ _products(chosen, q) @ m.T
     block = jax.vmap(lambda cofactors, g, c: _transformed(cofactors, g, c, m, d), (0, 1, 1))
@@ -193,7 +195,8 @@ def with_inner_constraints(
     """S^T f for every row f: with Q of the minimal datum, f Q f^T is that of the inner constraints."""
     g = _similarities(unknowns, p, constraints)
     chosen = _carried(g, p, carrying)
-    m = jnp.linalg.inv(_products(chosen, g))
+    inverse = inverse_factor(_products(chosen, g))
+    m = inverse.T @ inverse
     whole = jnp.einsum("fia,kia->fk", rows.images, g.images) + _products(rows, g)
     return jax.tree.map(lambda f, b: f - jnp.einsum("fk,k...->f...", whole @ m, b), rows, chosen)
 
