@@ -106,13 +106,7 @@ def _inner_cofactors(
     `carrying`: 1 for the places of points over which the constraints are formed, tiles first, then kept points.
     """
     g = _similarities(unknowns, p, constraints)
-    tiles = unknowns.tiles.shape[1:]
-    first, places = p.shape.first_kept_point, tiles[0] * tiles[1]
-    chosen = NormalVector(
-        jnp.zeros_like(g.images),
-        g.border * _border(carrying[places:], first),
-        g.tiles * carrying[:places].reshape(tiles),
-    )
+    first, chosen = p.shape.first_kept_point, _carried(g, p, carrying)
     inverse = inverse_factor(_products(chosen, g))
     m = inverse.T @ inverse
     q = solve_normals(unknowns, p, chosen)

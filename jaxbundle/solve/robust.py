@@ -56,7 +56,7 @@ class Huber(AbstractWeightFunction):
 
 
 class Cauchy(AbstractWeightFunction):
-    """95 % efficient for normal errors of one coordinate at 2.385 (Holland & Welsch 1977), for two a little more."""
+    """95 % efficient for normal errors of one coordinate at 2.385 (Holland & Welsch 1977)."""
 
     name: ClassVar[str] = "cauchy"
     limit: float = 2.385
