@@ -8,7 +8,6 @@ one an image and one for the whole border.
 For blocks whose factor would be too large or too full. It gives no cofactors.
 """
 
-from collections.abc import Callable
 from functools import partial
 from typing import NamedTuple
 
@@ -37,31 +36,6 @@ class KeptVector(NamedTuple):
     def dot(self, other: "KeptVector") -> Float[Array, ""]:
         """Scalar product."""
         return jnp.sum(self.images * other.images) + jnp.sum(self.border * other.border)
-
-    def plus(self, factor: Array | float, other: "KeptVector") -> "KeptVector":
-        """self + factor other."""
-        return KeptVector(self.images + factor * other.images, self.border + factor * other.border)
-
-
-def conjugate_gradients(
-    product: Callable[[KeptVector], KeptVector], precondition: Callable[[KeptVector], KeptVector], right: KeptVector
-) -> KeptVector:
-    """Solution of S x = right (Hestenes & Stiefel 1952), started at 0."""
-
-    def step(carry: tuple) -> tuple:
-        k, x, r, p, rz = carry
-        sp = product(p)
-        alpha = rz / p.dot(sp)
-        r = r.plus(-alpha, sp)
-        z = precondition(r)
-        new = r.dot(z)
-        return k + 1, x.plus(alpha, p), r, z.plus(new / rz, p), new
-
-    z = precondition(right)
-    first = right.dot(z)
-    zero = jax.tree.map(jnp.zeros_like, right)
-    going = lambda c: (c[0] < MOST_ITERATIONS) & (c[4] > TOLERANCE**2 * first)  # noqa: E731
-    return lax.while_loop(going, step, (0, zero, right, z, first))[1]
 
 
 def ray_product(

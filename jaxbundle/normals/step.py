@@ -23,11 +23,12 @@ from jaxbundle.block.unknowns import Correction, Unknowns, attitude_derivatives,
 from jaxbundle.normals.arrange import Arranged, Problem
 from jaxbundle.normals.cells import Tiles
 from jaxbundle.normals.eliminate import ImageSums, eliminate, image_table
-from jaxbundle.normals.implicit import KeptVector, conjugate_gradients, kept_product, ray_product
+from jaxbundle.normals.implicit import MOST_ITERATIONS, TOLERANCE, KeptVector, kept_product, ray_product
 from jaxbundle.normals.kept import KeptSums, add_group, add_kept_rays, no_sums
 from jaxbundle.normals.reduced_system import ReducedSystem, factorise, solve, step
 from jaxbundle.normals.rows import image_equation
 from jaxbundle.normals.substitute import image_values, substitute
+from jaxbundle.numerics.conjugate_gradients import conjugate_gradients
 
 AXIS = "device"
 
@@ -224,13 +225,14 @@ def _solve_implicitly(
         rows = ray_product(o, before, image_values(direction, o), unknowns.tiles, factors, tiles)
         of_rays = kept_rows(lax.psum(rows, axis) if axis else rows, linear.turns, p)
         x_damped = KeptVector(damped.images * x.images, damped.border * x.border)
-        return only_free(kept_product(linear.kept, x).plus(1.0, of_rays).plus(1.0, x_damped))
+        return only_free(jax.tree.map(lambda *parts: sum(parts), kept_product(linear.kept, x), of_rays, x_damped))
 
     def precondition(r: KeptVector) -> KeptVector:
         images, border = solve(p.reduced, factor, r.images[..., None], r.border[:, None])
         return KeptVector(images[..., 0], border[:, 0])
 
-    return conjugate_gradients(product, precondition, only_free(KeptVector(system.right, system.border_right)))
+    right = only_free(KeptVector(system.right, system.border_right))
+    return conjugate_gradients(product, precondition, right, KeptVector.dot, TOLERANCE, MOST_ITERATIONS)
 
 
 def device_mesh(devices: int) -> jax.sharding.Mesh:
