@@ -25,7 +25,7 @@ from jaxbundle.normals.arrange import Arranged, Problem
 from jaxbundle.normals.cells import Tiles, at_slots, chunk_of, points_at_cells, sum_by_tile
 from jaxbundle.normals.eliminate import eliminate
 from jaxbundle.normals.point_blocks import PointFactor, backward, forward
-from jaxbundle.normals.reduced_system import factorise, solve
+from jaxbundle.normals.reduced_system import ReducedFactor, factorise, solve
 from jaxbundle.normals.rows import image_equation
 from jaxbundle.normals.step import (
     AXIS,
@@ -40,14 +40,7 @@ from jaxbundle.normals.step import (
     reduced_system,
 )
 from jaxbundle.normals.substitute import image_values, split_values
-
-
-class NormalVector(NamedTuple):
-    """A vector of all unknowns in the order of elimination, or several with a leading axis; 0 where one is held."""
-
-    images: Float[Array, "*vector image d"]
-    border: Float[Array, "*vector border"]
-    tiles: Float[Array, "*vector 3 tile column"]
+from jaxbundle.normals.vector import NormalVector
 
 
 def solve_normals(unknowns: Arranged, p: Problem, right: NormalVector) -> NormalVector:
@@ -68,33 +61,54 @@ def solve_normals(unknowns: Arranged, p: Problem, right: NormalVector) -> Normal
     )(unknowns, linear, p, free, right)
 
 
-def _on_device(
-    unknowns: Arranged, linear: Linearised, p: Problem, free: Array, right: NormalVector, axis: str | None
-) -> NormalVector:
+class FactorisedNormals(NamedTuple):
+    """The undamped normal equations as one device has them; `axis` names the devices, None for a single one."""
+
+    unknowns: Arranged
+    problem: Problem
+    values: Float[Array, "image number"]
+    turns: Float[Array, "9 3 image"]
+    reduced: ReducedFactor
+    points: PointFactor
+    axis: str | None
+
+    def solve(self, b: NormalVector) -> NormalVector:
+        """N^-1 b."""
+        p, tiles, points = self.problem, local_tiles(self.problem.tiles), self.unknowns.tiles
+        o = p.observations
+        rows = to_images(o, self.values, points, self._eliminated(b.tiles), tiles)
+        coupled = kept_rows(lax.psum(rows, self.axis) if self.axis else rows, self.turns, p)
+        images, border = solve(
+            p.reduced, self.reduced, (b.images - coupled.images)[..., None], (b.border - coupled.border)[:, None]
+        )
+        direction = direction_of(correction_of(images[..., 0], border[:, 0], p, self.unknowns), self.turns)
+        at_points = to_points(o, self.values, image_values(direction, o), points, tiles)
+        return NormalVector(images[..., 0], border[:, 0], self._eliminated(b.tiles - at_points))
+
+    def _eliminated(self, b: Float[Array, "3 tile column"]) -> Float[Array, "3 tile column"]:
+        """V^-1 b."""
+        return jnp.stack(backward(self.points, forward(self.points, (b[0], b[1], b[2]))))
+
+
+def factorised_normals(
+    unknowns: Arranged, linear: Linearised, p: Problem, free: Array, axis: str | None
+) -> FactorisedNormals:
+    """Eliminates the points of this device and factorises the reduced equations."""
     o, tiles, zero = p.observations, local_tiles(p.tiles), jnp.zeros(())
     rays, factors = eliminate(
         o, linear.table, unknowns.tiles, linear.prior, free, zero, tiles, p.shape, p.diagonal_pair
     )
     system = reduced_system(lax.psum(rays, axis) if axis else rays, linear.kept, p).system
-    factor = factorise(p.reduced, system, zero)
-    values = image_values(unknowns.images, o)
     n = unknowns.tiles.shape[2]
     points = PointFactor(*(factors[:, k * n : (k + 1) * n] for k in range(6)))
+    factor = factorise(p.reduced, system, zero)
+    return FactorisedNormals(unknowns, p, image_values(unknowns.images, o), linear.turns, factor, points, axis)
 
-    def eliminated(b: Float[Array, "3 tile column"]) -> Float[Array, "3 tile column"]:
-        return jnp.stack(backward(points, forward(points, (b[0], b[1], b[2]))))
 
-    def one(b: NormalVector) -> NormalVector:
-        rows = to_images(o, values, unknowns.tiles, eliminated(b.tiles), tiles)
-        coupled = kept_rows(lax.psum(rows, axis) if axis else rows, linear.turns, p)
-        images, border = solve(
-            p.reduced, factor, (b.images - coupled.images)[..., None], (b.border - coupled.border)[:, None]
-        )
-        direction = direction_of(correction_of(images[..., 0], border[:, 0], p, unknowns), linear.turns)
-        at_points = to_points(o, values, image_values(direction, o), unknowns.tiles, tiles)
-        return NormalVector(images[..., 0], border[:, 0], eliminated(b.tiles - at_points))
-
-    return lax.map(one, right)
+def _on_device(
+    unknowns: Arranged, linear: Linearised, p: Problem, free: Array, right: NormalVector, axis: str | None
+) -> NormalVector:
+    return lax.map(factorised_normals(unknowns, linear, p, free, axis).solve, right)
 
 
 def to_images(

@@ -18,7 +18,7 @@ from jax import lax
 from jax.sharding import NamedSharding, PartitionSpec
 from jaxtyping import Array, Bool, Float
 
-from jaxbundle.block.residuals import group_residuals, weighted
+from jaxbundle.block.residuals import Observations, group_residuals, weighted
 from jaxbundle.block.unknowns import Correction, Unknowns, attitude_derivatives, corrected
 from jaxbundle.normals.arrange import Arranged, Problem
 from jaxbundle.normals.cells import Tiles
@@ -27,7 +27,7 @@ from jaxbundle.normals.implicit import MOST_ITERATIONS, TOLERANCE, KeptVector, k
 from jaxbundle.normals.kept import KeptSums, add_group, add_kept_rays, no_sums
 from jaxbundle.normals.reduced_system import ReducedSystem, factorise, solve, step
 from jaxbundle.normals.rows import image_equation
-from jaxbundle.normals.substitute import image_values, substitute
+from jaxbundle.normals.substitute import image_values, split_values, substitute
 from jaxbundle.numerics.conjugate_gradients import conjugate_gradients
 
 AXIS = "device"
@@ -100,21 +100,28 @@ def reduced_system(rays: ImageSums, kept: KeptSums, p: Problem) -> Reduced:
     if inner:
         border = border.at[:inner, :inner].add(-rays.border)
     pool = -rays.pool if kept.pool is None else kept.pool - rays.pool
-    free = o.exterior_free.T if d == 6 else jnp.concatenate([o.exterior_free, o.interior_free]).T
-    inner_free = o.interior_free.T.ravel() if inner else jnp.zeros(0, bool)
-    kept_free = o.point_free[:, o.point_free.shape[1] - p.shape.kept :].T.ravel()
+    free = kept_free(p)
     system = ReducedSystem(
         pool.at[p.diagonal_pair].add(u),
         jnp.diagonal(u, axis1=1, axis2=2),
         rays.image[:, :d, m - 1] - gradient,
-        free,
+        free.images,
         coupling,
         border,
         border_diagonal,
         eliminated - border_gradient,
-        jnp.concatenate([inner_free, o.parameter_free, kept_free]),
+        free.border,
     )
     return Reduced(system, gradient, border_gradient)
+
+
+def kept_free(p: Problem) -> KeptVector:
+    """Which kept unknowns are free."""
+    o, shape = p.observations, p.shape
+    images = o.exterior_free.T if shape.image == 6 else jnp.concatenate([o.exterior_free, o.interior_free]).T
+    interior = o.interior_free.T.ravel() if shape.first_parameter else jnp.zeros(0, bool)
+    points = o.point_free[:, o.point_free.shape[1] - shape.kept :].T.ravel()
+    return KeptVector(images, jnp.concatenate([interior, o.parameter_free, points]))
 
 
 def correction_of(
@@ -232,7 +239,7 @@ def _solve_implicitly(
         return KeptVector(images[..., 0], border[:, 0])
 
     right = only_free(KeptVector(system.right, system.border_right))
-    return conjugate_gradients(product, precondition, right, KeptVector.dot, TOLERANCE, MOST_ITERATIONS)
+    return conjugate_gradients(product, precondition, right, KeptVector.dot, TOLERANCE, MOST_ITERATIONS)[0]
 
 
 def device_mesh(devices: int) -> jax.sharding.Mesh:
@@ -262,7 +269,7 @@ def trial_step(unknowns: Arranged, p: Problem, damping: Float[Array, ""]) -> Tri
     else:
         part = _on_devices(unknowns, linear, damping, p, free)
     after = Arranged(part.images, part.tiles)
-    pairs = list(zip(_whole_residuals(unknowns, p), _whole_residuals(after, p), strict=True))
+    pairs = list(zip(other_residuals(unknowns, p), other_residuals(after, p), strict=True))
     cost = part.cost + 0.5 * sum(jnp.sum(v * v) for v, _ in pairs)
     # v^2 - w^2 as a product: the difference of two nearly equal sums would be noise near the minimum
     reduction = part.reduction + 0.5 * sum(jnp.sum((v - w) * (v + w)) for v, w in pairs)
@@ -318,15 +325,14 @@ def _on_devices(unknowns: Arranged, linear: Linearised, damping: Array, p: Probl
     )(unknowns, linear, damping, p, free)
 
 
-def _whole_residuals(unknowns: Arranged, p: Problem) -> list[Array]:
+def other_residuals(unknowns: Arranged, p: Problem) -> list[Array]:
     """Weighted residuals of everything but the cells: rays of kept points, and observations that are no rays."""
     residuals, rays, o = [], p.kept_rays, p.observations
     if rays.image.shape[0]:
         u = unknowns.images
+        image = tuple(u.rotation[:, rays.image]), tuple(u.centre[:, rays.image])
         interior = tuple(u.interior[:, o.image_camera[rays.image]])
-        rotation, centre = tuple(u.rotation[:, rays.image]), tuple(u.centre[:, rays.image])
-        v = image_equation(o.model, rotation, centre, interior, tuple(u.points[:, rays.point]), tuple(rays.measured))
-        residuals += [jnp.where(w > 0, r * w, 0.0) for r, w in zip(v, rays.weights, strict=True)]
+        residuals += _residuals(o, (*image, interior), tuple(u.points[:, rays.point]), rays.measured, rays.weights)
     if o.groups:
         flat = unknowns.flat()
         residuals += [weighted(group_residuals(flat, group), group) for group in o.groups]
@@ -339,17 +345,22 @@ def weighted_residuals(unknowns: Arranged, p: Problem) -> list[Array]:
     first = unknowns.tiles.shape[1] // p.devices * jnp.arange(p.devices)[:, None, None]
     for part in p.tiles:
         number = jnp.moveaxis(values[part.slot_image], -1, 0)[..., None]
-        x, y, z = unknowns.tiles[:, part.slot_tile + first]
-        v = image_equation(
-            p.observations.model,
-            tuple(number[:9]),
-            (number[9], number[10], number[11]),
-            tuple(number[12:]),
-            (x, y, z),
-            (part.measured[:, :, 0], part.measured[:, :, 1]),
-        )
-        cells += [jnp.where(part.weights[:, :, k] > 0, v[k] * part.weights[:, :, k], 0.0) for k in range(2)]
-    return [*cells, *_whole_residuals(unknowns, p)]
+        points = tuple(unknowns.tiles[:, part.slot_tile + first])
+        measured, weights = (jnp.moveaxis(x, 2, 0) for x in (part.measured, part.weights))
+        cells += _residuals(p.observations, split_values(list(number)), points, measured, weights)
+    return [*cells, *other_residuals(unknowns, p)]
+
+
+def _residuals(
+    o: Observations, image: tuple, points: tuple[Array, ...], measured: Array, weights: Array
+) -> list[Array]:
+    """Weighted residuals of rays. One without weight gets a point in front of its camera: derivatives stay finite."""
+    rotation, centre, interior = image
+    used = (weights[0] > 0) | (weights[1] > 0)
+    ahead = [x - r for x, r in zip(centre, rotation[2::3], strict=True)]
+    x, y, z = (jnp.where(used, x, a) for x, a in zip(points, ahead, strict=True))
+    v = image_equation(o.model, rotation, centre, interior, (x, y, z), (measured[0], measured[1]))
+    return [r * w for r, w in zip(v, weights, strict=True)]
 
 
 def _noise(p: Problem) -> Float[Array, ""]:

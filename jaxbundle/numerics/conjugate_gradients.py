@@ -18,10 +18,11 @@ def conjugate_gradients(
     dot: Callable[[T, T], Array],
     tolerance: float,
     most_iterations: int,
-) -> T:
+) -> tuple[T, Array]:
     """Solution of A x = right, started at 0, for vectors that are pytrees with a scalar product `dot`.
 
-    Ends where the residual has fallen to `tolerance` of the first one, in the norm of the preconditioner.
+    Ends where the residual has fallen to `tolerance` of the first one, in the norm of the preconditioner; the second
+    value is the share that is left, NaN where A is not positive definite.
     """
 
     def plus(x: T, factor: Array, y: T) -> T:
@@ -30,7 +31,8 @@ def conjugate_gradients(
     def step(carry: tuple) -> tuple:
         k, x, r, p, rz = carry
         ap = product(p)
-        alpha = rz / dot(p, ap)
+        curvature = dot(p, ap)
+        alpha = rz / jnp.where(curvature > 0, curvature, jnp.nan)
         r = plus(r, -alpha, ap)
         z = precondition(r)
         new = dot(r, z)
@@ -40,4 +42,5 @@ def conjugate_gradients(
     first = dot(right, z)
     zero = jax.tree.map(jnp.zeros_like, right)
     going = lambda c: (c[0] < most_iterations) & (c[4] > tolerance**2 * first)  # noqa: E731
-    return lax.while_loop(going, step, (0, zero, right, z, first))[1]
+    _, x, _, _, last = lax.while_loop(going, step, (0, zero, right, z, first))
+    return x, jnp.sqrt(last / jnp.where(first == 0, 1.0, first))

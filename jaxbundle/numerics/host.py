@@ -17,6 +17,11 @@ def is_concrete(tree: Any) -> bool:
     return not any(isinstance(leaf, Tracer) for leaf in jax.tree.leaves(tree))
 
 
+def constant(tree: Any) -> Any:
+    """The same values without derivatives: numbers, unless they are traced by jit or vmap."""
+    return tree if is_concrete(tree) else jax.lax.stop_gradient(tree)
+
+
 def on_host(value: Any) -> Any:
     """A numpy array in place of a concrete JAX array; a tracer stays what it is."""
     return value if isinstance(value, Tracer) else np.asarray(value)

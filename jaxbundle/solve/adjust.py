@@ -4,7 +4,7 @@ import dataclasses
 import importlib
 from collections.abc import Callable
 from pathlib import Path
-from typing import NamedTuple
+from typing import NamedTuple, get_args
 
 import jax
 import jax.numpy as jnp
@@ -20,13 +20,14 @@ from jaxbundle.normals.arrange import Arranged, Arrangement, arrange, arranged_u
 from jaxbundle.normals.reduced_plan import Method
 from jaxbundle.normals.step import placed
 from jaxbundle.numerics.compilation import RAYS_FOR_OPTIMISATION
-from jaxbundle.numerics.host import on_device, on_host
+from jaxbundle.numerics.host import constant, on_device, on_host
 from jaxbundle.numerics.precision import require_float64
 from jaxbundle.solve import levenberg_marquardt as solver
 from jaxbundle.solve.adjustment import Adjustment, Iterations, Status
 from jaxbundle.solve.answer import adjustment
 from jaxbundle.solve.checkpoint import Keeper, fingerprint
 from jaxbundle.solve.free_network import constrained, freed
+from jaxbundle.solve.implicit import Derivatives, minimum
 from jaxbundle.solve.levenberg_marquardt import Arguments, BundleSolver, State
 from jaxbundle.solve.robust import AbstractWeightFunction, Solve, adjust_robustly
 from jaxbundle.solve.search import DampedSearch, FullStep
@@ -67,6 +68,7 @@ def adjust(
     devices: int | None = None,
     checkpoint: Path | None = None,
     robust: AbstractWeightFunction | None = None,
+    derivatives: Derivatives = "exact",
     progress: Callable[[Progress], None] | None = None,
 ) -> Adjustment:
     """Adjusts a block by least squares; its values are the start.
@@ -77,8 +79,9 @@ def adjust(
     no standard deviations), "auto" by their size. `devices`: JAX devices to deal the points to; if None all of them, or
     one for a small block. `checkpoint`: a file that keeps the state after every accepted iteration; where it exists the
     solve goes on from it. `robust`: a weight function for gross errors in the rays, as Huber(); its weights are kept in
-    `reweighting`. `progress` is called after every iteration. Ctrl-C ends the iterations and keeps the last
-    accepted unknowns.
+    `reweighting`. `derivatives` of the minimum, under grad, jacfwd or jacrev: "exact", or by "gauss-newton" without the
+    second derivatives of the observations. `progress` is called after every iteration. Ctrl-C ends the iterations
+    and keeps the last accepted unknowns.
 
     Raises: BlockError with all problems of the block; CheckpointError for a checkpoint of another block; ValueError for
     an unknown name or without float64.
@@ -88,9 +91,12 @@ def adjust(
         raise ValueError(f"no method {method!r} with engine {engine!r}; there are {list(METHODS)} and {list(ENGINES)}")
     if precision and reduced == "pcg":
         raise ValueError("conjugate gradients give no standard deviations: call adjust(..., precision=False)")
-    if block.concrete:
-        require_valid(block)
-    wanted = _Wanted(method, stop or AngleRule(), max_iterations, engine, reduced, devices, progress)
+    if derivatives not in get_args(Derivatives):
+        raise ValueError(f"no derivatives {derivatives!r}; there are {list(get_args(Derivatives))}")
+    values = constant(block)
+    if values.concrete:
+        require_valid(values)
+    wanted = _Wanted(method, stop or AngleRule(), max_iterations, engine, reduced, devices, derivatives, progress)
     if robust is None:
         return _least_squares(block, wanted, precision, checkpoint)
     if checkpoint is not None:
@@ -110,39 +116,50 @@ class _Wanted(NamedTuple):
     engine: str
     reduced: Method
     devices: int | None
+    derivatives: Derivatives
     progress: Callable[[Progress], None] | None
 
 
 def _least_squares(block: Block, wanted: _Wanted, precision: bool, checkpoint: Path | None) -> Adjustment:
     """One adjustment."""
-    block = with_datum(block)
-    method, rule = wanted.method, wanted.rule
-    origin = jax.lax.stop_gradient(on_host(block.exterior.projection_centre).mean(0))
-    centred = block.moved(-origin)
+    if block.structure.datum.kind == "inner" and not block.concrete:
+        raise ValueError("a free network is adjusted outside of jit, grad and vmap; there take a minimal datum")
+    values = with_datum(constant(block))
+    block = values if block.concrete else dataclasses.replace(block, structure=values.structure)
+    origin = on_host(values.exterior.projection_centre).mean(0)
+    centred = values.moved(-origin)
     optimised = len(block.structure.ray_image) >= RAYS_FOR_OPTIMISATION
-    centres = np.asarray(block.exterior.projection_centre) if block.concrete else None
+    centres = np.asarray(values.exterior.projection_centre) if values.concrete else None
     devices = wanted.devices or _useful_devices(block)
     plan = arrange(block.structure, block.groups, centres, devices, wanted.reduced, precision)
-    arguments = Arguments(problem(plan, centred), rule.arranged(plan.order))
-    if wanted.engine == "jaxopt":
-        # jaxopt warns at import that it is no longer developed: only who asks for it shall load it
-        second_opinion = importlib.import_module("jaxbundle.solve.second_opinion")
-        args = second_opinion.Arguments(observations_of(centred), rule)
-        unknowns, iterations = second_opinion.solve(unknowns_of(centred), args, method, wanted.max_iterations)
-        arranged = arranged_unknowns(plan, unknowns)
-    else:
-        run = _Run(centred, plan, arguments, method, wanted.max_iterations, optimised)
-        if block.concrete:
-            keeper = None if checkpoint is None else Keeper(checkpoint, fingerprint(block, method))
-            arranged, iterations = _step_by_step(run, wanted.progress, keeper)
-        else:
-            arranged, iterations = _in_one(run)
+    run = _Run(centred, plan, Arguments(problem(plan, centred), wanted.rule.arranged(plan.order)), optimised, wanted)
+    arranged, iterations = _solved(run, checkpoint)
+    given = run.args.problem
+    if not block.concrete:
+        centred = block.moved(-origin)
+        given, start = problem(plan, centred), arranged_unknowns(plan, unknowns_of(centred))
+        converged = iterations.status == Status.CONVERGED
+        arranged = minimum(arranged, start, given, converged, wanted.derivatives)
     if block.structure.datum.kind == "inner":
         arranged = arranged_unknowns(plan, constrained(centred, restored_unknowns(plan, arranged)))
         block = dataclasses.replace(block, structure=freed(block.structure))
     return adjustment(
-        block, plan, arguments.problem, arranged, iterations, origin, rule.name, method, precision, optimised
+        block, plan, given, arranged, iterations, origin, wanted.rule.name, wanted.method, precision, optimised
     )
+
+
+def _solved(run: "_Run", checkpoint: Path | None) -> tuple[Arranged, Iterations]:
+    """The minimum."""
+    block, wanted = run.block, run.wanted
+    if wanted.engine == "jaxopt":
+        # jaxopt warns at import that it is no longer developed: only who asks for it shall load it
+        second_opinion = importlib.import_module("jaxbundle.solve.second_opinion")
+        args = second_opinion.Arguments(observations_of(block), wanted.rule)
+        unknowns, iterations = second_opinion.solve(unknowns_of(block), args, wanted.method, wanted.max_iterations)
+        return arranged_unknowns(run.plan, unknowns), iterations
+    if not block.concrete:
+        return _in_one(run)
+    return _step_by_step(run, None if checkpoint is None else Keeper(checkpoint, fingerprint(block, wanted.method)))
 
 
 def _useful_devices(block: Block) -> int:
@@ -156,39 +173,36 @@ class _Run(NamedTuple):
     block: Block
     plan: Arrangement
     args: Arguments
-    method: str
-    max_iterations: int
     optimised: bool
+    wanted: _Wanted
 
 
 def _in_one(run: _Run) -> tuple[Arranged, Iterations]:
     """All steps in one program, as tracing needs it."""
-    bundle = BundleSolver(METHODS[run.method]())
+    bundle = BundleSolver(METHODS[run.wanted.method]())
     unknowns = arranged_unknowns(run.plan, unknowns_of(run.block))
     unknowns, state = solver.run(
-        bundle, unknowns, run.args, bundle.first(), run.max_iterations, optimised=run.optimised
+        bundle, unknowns, run.args, bundle.first(), run.wanted.max_iterations, optimised=run.optimised
     )
     codes = jnp.array([_STATUS[k] for k in range(len(_STATUS))])
     return unknowns, _iterations(state, codes[state.status])
 
 
-def _step_by_step(
-    run: _Run, progress: Callable[[Progress], None] | None, keeper: Keeper | None
-) -> tuple[Arranged, Iterations]:
+def _step_by_step(run: _Run, keeper: Keeper | None) -> tuple[Arranged, Iterations]:
     """One step a call, so that a user can look on, stop it, and go on from a checkpoint."""
-    bundle = BundleSolver(METHODS[run.method]())
+    bundle = BundleSolver(METHODS[run.wanted.method]())
     start, state = unknowns_of(run.block), bundle.first()
     if keeper is not None:
         start, state = keeper.resumed(start, state)
     unknowns, problem, state = placed(arranged_unknowns(run.plan, start), run.args.problem, state)
     args, interrupted = run.args._replace(problem=problem), False
     try:
-        while int(state.trials) < run.max_iterations and int(state.status) == solver.RUNNING:
+        while int(state.trials) < run.wanted.max_iterations and int(state.status) == solver.RUNNING:
             before = int(state.accepted)
             unknowns, state = solver.run(bundle, unknowns, args, state, 1, optimised=run.optimised)
             accepted = int(state.accepted) > before
-            if progress is not None:
-                progress(_progress(run.block, state, accepted))
+            if run.wanted.progress is not None:
+                run.wanted.progress(_progress(run.block, state, accepted))
             if keeper is not None and (accepted or int(state.status) != solver.RUNNING):
                 keeper.keep(restored_unknowns(run.plan, unknowns), state)
     except KeyboardInterrupt:

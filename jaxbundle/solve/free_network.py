@@ -28,7 +28,8 @@ from jaxbundle.geometry import rotation
 from jaxbundle.normals.arrange import Arranged, Arrangement, Problem
 from jaxbundle.normals.cofactors import Cofactors
 from jaxbundle.normals.inverse_factor import inverse_factor
-from jaxbundle.normals.solution import NormalVector, solve_normals
+from jaxbundle.normals.solution import solve_normals
+from jaxbundle.normals.vector import NormalVector
 from jaxbundle.numerics.compilation import Compiled
 from jaxbundle.numerics.host import is_concrete, on_device
 

@@ -17,7 +17,8 @@ from jaxbundle.block.block import Block
 from jaxbundle.block.datum import with_datum
 from jaxbundle.block.unknowns import angle_derivatives, unknowns_of
 from jaxbundle.normals.arrange import Arranged, Arrangement, Problem, arrange, arranged_unknowns, problem
-from jaxbundle.normals.solution import NormalVector, solve_normals
+from jaxbundle.normals.solution import solve_normals
+from jaxbundle.normals.vector import NormalVector, arranged_vectors
 from jaxbundle.numerics.compilation import RAYS_FOR_OPTIMISATION, Compiled
 from jaxbundle.numerics.host import on_device
 from jaxbundle.solve.adjustment import Adjustment
@@ -86,28 +87,19 @@ def _cofactors(
 
 def _arranged_rows(plan: Arrangement, block: Block, derivatives: Any) -> NormalVector:
     """F in the order of elimination, by the angles of the corrections."""
-    o, shape, structure = plan.order, plan.shape, block.structure
-    unknowns = unknowns_of(block)
+    structure, unknowns = block.structure, unknowns_of(block)
     turned = np.asarray(angle_derivatives(unknowns.rotation, None, block.exterior.angles.T, structure.rotation_system))
     by_angles = np.einsum("fia,abi->fib", np.asarray(derivatives.exterior.angles), turned)
     by_centre = np.asarray(derivatives.exterior.projection_centre)
-    count, columns = len(by_centre), list(structure.interior_columns)
-    free = structure.exterior_free
-    images = np.zeros((count, o.images, shape.image))
-    images[:, o.image, :6] = np.concatenate([by_centre, by_angles], 2) * free
-    by_interior = np.asarray(derivatives.interior.elements)[:, :, columns] * structure.interior_free[:, columns]
-    border = np.zeros((count, shape.border))
-    if shape.image > 6:
-        images[:, o.camera, 6:] = by_interior
-    else:
-        border[:, : shape.first_parameter] = by_interior.reshape(count, -1)
-    parameters = np.asarray(derivatives.parameters) * structure.parameter_free
-    border[:, shape.first_parameter : shape.first_parameter + o.parameters] = parameters
-    points = np.zeros((count, 3, o.points))
-    points[:, :, o.point] = (np.asarray(derivatives.object_points) * structure.point_free).transpose(0, 2, 1)
-    border[:, shape.first_kept_point :] = points[:, :, plan.places :].transpose(0, 2, 1).reshape(count, -1)
-    tiles = points[:, :, : plan.places].reshape(count, 3, -1, shape.width)
-    return NormalVector(on_device(images), on_device(border), on_device(tiles))
+    by_interior = np.asarray(derivatives.interior.elements)[:, :, list(structure.interior_columns)]
+    return arranged_vectors(
+        plan,
+        structure,
+        np.concatenate([by_centre, by_angles], 2),
+        by_interior,
+        np.asarray(derivatives.parameters),
+        np.asarray(derivatives.object_points),
+    )
 
 
 def error_ellipsoids(adjustment: Adjustment) -> Ellipsoids:

@@ -1,0 +1,123 @@
+"""Derivatives of the adjusted unknowns by everything they were adjusted from, at the minimum (implicit functions).
+
+    F(d; p) = v^T P v / 2 at the unknowns x corrected by d         p: observations, weights, control, held values, ...
+    g(x, p) = dF/dd (0; p) = 0                                     defines x(p)
+    dx = - H^-1 (dg/dp) dp,    H = d2F/dd2 (0; p)                  exact, or A^T P A alone (Gauss-Newton)
+
+No iteration is differentiated. The equations are solved by the elimination of the adjustment itself; forward and
+transposed derivatives, of any order, follow from H and g, which are written without a loop.
+"""
+
+from typing import Literal
+
+import equinox as eqx
+import jax
+import jax.numpy as jnp
+import numpy as np
+from jax import lax
+from jaxtyping import Array, Bool
+
+from jaxbundle.block.unknowns import Unknowns, corrected
+from jaxbundle.normals.arrange import Arranged, Problem
+from jaxbundle.normals.hessian import solve_hessian
+from jaxbundle.normals.solution import solve_normals
+from jaxbundle.normals.step import correction_of, kept_free, weighted_residuals
+from jaxbundle.normals.vector import NormalVector
+
+Derivatives = Literal["exact", "gauss-newton"]
+
+
+@eqx.filter_custom_jvp
+def minimum(found: Arranged, start: Arranged, p: Problem, converged: Bool[Array, ""], derivatives: Derivatives):
+    """`found` as a function of `p` and of what is held in `start`; its derivatives are NaN unless it has converged."""
+    return found
+
+
+@minimum.def_jvp
+def _minimum_jvp(primals: tuple, tangents: tuple) -> tuple[Arranged, Arranged]:
+    found, start, p, converged, derivatives = primals
+    x = minimum(found, start, p, converged, derivatives)
+    given, given_dot = (start, p), tangents[1:3]
+    _, g_dot = eqx.filter_jvp(lambda start, p: _gradient(x, start, p), given, given_dot)
+    negative = jax.tree.map(lambda g: jnp.where(converged, -g, jnp.nan), g_dot)
+    d = _solve(x, start, p, negative, derivatives)
+    x_dot = eqx.filter_jvp(lambda start, d: _moved(x, start, p, d), (start, zero_vector(p)), (given_dot[0], d))[1]
+    return x, x_dot
+
+
+def zero_vector(p: Problem) -> NormalVector:
+    """No correction."""
+    return NormalVector(*(jnp.zeros(mask.shape) for mask in (*kept_free(p), p.free_tiles)))
+
+
+def moved(x: Arranged, p: Problem, d: NormalVector) -> Arranged:
+    """The unknowns x after a correction, of which what is held takes no notice."""
+    o, kept = p.observations, kept_free(p)
+    correction = correction_of(jnp.where(kept.images, d.images, 0.0), jnp.where(kept.border, d.border, 0.0), p, x)
+    images = corrected(x.images, correction, o.in_angles, o.system)
+    return Arranged(images, x.tiles + jnp.where(p.free_tiles, d.tiles, 0.0))
+
+
+@eqx.filter_jit
+def _moved(x: Arranged, start: Arranged, p: Problem, d: NormalVector) -> Arranged:
+    return moved(_held(x, start, p), p, d)
+
+
+def _held(x: Arranged, start: Arranged, p: Problem) -> Arranged:
+    """x with all that is held taken from the start."""
+    o, u, first = p.observations, x.images, start.images
+    free = o.exterior_free
+    interior = jnp.zeros(u.interior.shape, bool)
+    if o.columns:
+        interior = interior.at[np.array(o.columns)].set(o.interior_free)
+    rotation = jnp.where(free[3:].any(0), u.rotation, first.rotation)
+    if o.in_angles is not None:
+        angles = [o.system.angles_from_rotation(tuple(r)) for r in (u.rotation, first.rotation)]
+        mixed = (jnp.where(f, a, b) for f, a, b in zip(free[3:], *angles, strict=True))
+        rotation = jnp.where(o.in_angles, jnp.stack(o.system.rotation_from_angles(*mixed)), rotation)
+    images = Unknowns(
+        rotation,
+        jnp.where(free[:3], u.centre, first.centre),
+        jnp.where(interior, u.interior, first.interior),
+        jnp.where(o.parameter_free, u.parameters, first.parameters),
+        jnp.where(o.point_free[:, o.point_free.shape[1] - p.shape.kept :], u.points, first.points),
+    )
+    return Arranged(images, jnp.where(p.free_tiles, x.tiles, start.tiles))
+
+
+def _cost(d: NormalVector, x: Arranged, start: Arranged, p: Problem) -> Array:
+    """F."""
+    return 0.5 * sum(jnp.sum(v * v) for v in weighted_residuals(moved(_held(x, start, p), p, d), p))
+
+
+@eqx.filter_jit
+def _gradient(x: Arranged, start: Arranged, p: Problem) -> NormalVector:
+    """g."""
+    # recomputed in the transposed pass: what it would keep of every ray outweighs the block
+    return jax.grad(eqx.filter_checkpoint(_cost))(zero_vector(p), x, start, p)
+
+
+@eqx.filter_jit
+def _solve(x: Arranged, start: Arranged, p: Problem, right: NormalVector, derivatives: Derivatives) -> NormalVector:
+    """H^-1 b. The engine solves; what is differentiated once more, where it is, is the product H d."""
+    zero = zero_vector(p)
+
+    def exact(d: NormalVector) -> NormalVector:
+        return jax.jvp(lambda e: jax.grad(_cost)(e, x, start, p), (zero,), (d,))[1]
+
+    def gauss_newton(d: NormalVector) -> NormalVector:
+        def residuals(e: NormalVector) -> list[Array]:
+            return weighted_residuals(moved(_held(x, start, p), p, e), p)
+
+        _, along = jax.jvp(residuals, (zero,), (d,))
+        return jax.vjp(residuals, zero)[1](along)[0]
+
+    def by_elimination(_, b: NormalVector) -> NormalVector:
+        if derivatives == "exact":
+            return solve_hessian(*constant, b)
+        solution = solve_normals(*constant, jax.tree.map(lambda part: part[None], b))
+        return jax.tree.map(lambda part: part[0], solution)
+
+    constant = lax.stop_gradient((_held(x, start, p), p))
+    product = exact if derivatives == "exact" else gauss_newton
+    return lax.custom_linear_solve(product, right, by_elimination, symmetric=True)
