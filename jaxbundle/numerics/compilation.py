@@ -28,6 +28,7 @@ class Compiled:
     def __init__(self, function: Callable[..., Any]):
         self.function = function
         self._programs: dict[Hashable, programs.Program] = {}
+        self._traced: dict[Hashable, Callable[..., Any]] = {}
         Compiled._all.add(self)
 
     @classmethod
@@ -35,19 +36,33 @@ class Compiled:
         """Frees all programs of this process, which hold memory maps, of which a system allows so many only."""
         for compiled in cls._all:
             compiled._programs.clear()
+            compiled._traced.clear()
 
     def __call__(self, *args: Any, optimised: bool) -> Any:
         """The function's value."""
-        if not is_concrete(args):  # inside another program there is nothing to compile here
-            return self.function(*args)
         leaves, structure = jax.tree.flatten(args)
         arrays = [leaf for leaf in leaves if eqx.is_array(leaf)]
         static = tuple(None if eqx.is_array(leaf) else leaf for leaf in leaves)
+        if not is_concrete(args):
+            return self._inside(structure, static)(*arrays)
         placed = tuple((a.shape, a.dtype, a.weak_type, a.sharding if a.committed else None) for a in arrays)
         key = structure, static, placed, optimised
         if key not in self._programs:
             self._programs[key] = self._program(structure, static, arrays, {} if optimised else QUICKLY)
         return self._programs[key](arrays)
+
+    def _inside(self, structure: Any, static: tuple) -> Callable[..., Any]:
+        """The function for a program that is being traced, or differentiated: traced once."""
+        key = structure, static
+        if key not in self._traced:
+
+            def on_arrays(*arrays: Array) -> Any:
+                given = iter(arrays)
+                leaves = [next(given) if leaf is None else leaf for leaf in static]
+                return self.function(*jax.tree.unflatten(structure, leaves))
+
+            self._traced[key] = jax.jit(on_arrays)
+        return self._traced[key]
 
     def _program(self, structure: Any, static: tuple, arrays: list[Array], options: dict) -> programs.Program:
         """Found in the folder of programs, or made."""

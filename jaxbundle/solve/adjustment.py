@@ -210,6 +210,7 @@ def _counted(number: int, noun: str) -> str:
 
 
 def _roots(cofactors: Array | np.ndarray) -> Any:
-    """Roots of the diagonals, in numpy where they are concrete."""
+    """Roots of the diagonals, in numpy where they are concrete; that of 0, of what is held, has the derivative 0."""
     xp = array_module(cofactors)
-    return xp.sqrt(xp.diagonal(on_host(cofactors), axis1=-2, axis2=-1))
+    diagonal = xp.diagonal(on_host(cofactors), axis1=-2, axis2=-1)
+    return xp.where(diagonal == 0, 0.0, xp.sqrt(xp.where(diagonal == 0, 1.0, diagonal)))

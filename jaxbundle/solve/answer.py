@@ -17,9 +17,10 @@ from jaxbundle.normals.arrange import Arranged, Arrangement, Problem, restored_r
 from jaxbundle.normals.cofactors import Cofactors, cofactors
 from jaxbundle.normals.step import weighted_residuals
 from jaxbundle.numerics.compilation import Compiled
-from jaxbundle.numerics.host import array_module, is_concrete, on_device, on_host
+from jaxbundle.numerics.host import array_module, constant, is_concrete, on_device, on_host
 from jaxbundle.solve.adjustment import Adjustment, BlockCofactors, Iterations
 from jaxbundle.solve.free_network import InnerCofactors, inner_cofactors_of
+from jaxbundle.solve.implicit_precision import with_derivatives
 from jaxbundle.solve.undetermined import undetermined_unknowns
 
 
@@ -40,7 +41,7 @@ def _answer(arranged: Arranged, problem: Problem, reference: Float[Array, "3 ima
     residuals = weighted_residuals(arranged, problem)
     if not precision:
         return Answer(angles, residuals, None, None)
-    q = cofactors(arranged, problem)
+    q = cofactors(*constant((arranged, problem)))
     turned = angle_derivatives(matrix, o.in_angles, reference, o.system).transpose(2, 0, 1)
     to_user = jnp.zeros((matrix.shape[1], 6, 6)).at[:, :3, :3].set(jnp.eye(3)).at[:, 3:, 3:].set(turned)
     return Answer(angles, residuals, q, to_user)
@@ -64,6 +65,9 @@ def adjustment(
     weighted = _tables(plan, problem, answer.residuals)
     blocks, redundancy_numbers, weak = None, None, ()
     if answer.cofactors is not None:
+        if not block.concrete:
+            q = with_derivatives(answer.cofactors, arranged, problem, plan, block.structure)
+            answer = answer._replace(cofactors=q)
         inner = None
         if block.structure.datum.kind == "inner":
             inner = inner_cofactors_of(block.structure, plan, arranged, problem, answer.cofactors, optimised)

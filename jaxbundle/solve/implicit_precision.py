@@ -1,0 +1,99 @@
+"""Derivatives of cofactors and leverages by everything they were computed from.
+
+The engine computes them without the whole of Q; their derivatives come from the whole matrix,
+
+    N = A^T A,    Q = N^-1,    h = diag(A Q A^T)        A: weighted residuals by autodiff, with respect to what is free
+
+in a form without loops, which has forward and transposed derivatives of any order, for blocks of MOST_UNKNOWNS at most.
+Beyond, the engine itself is differentiated, which is possible in forward mode only: jacfwd and jvp.
+"""
+
+from typing import NamedTuple
+
+import equinox as eqx
+import jax
+import jax.numpy as jnp
+import numpy as np
+from jaxtyping import Array, Float, Int
+
+from jaxbundle.block.block import Structure
+from jaxbundle.normals.arrange import Arranged, Arrangement, Problem
+from jaxbundle.normals.cofactors import Cofactors, cofactors
+from jaxbundle.normals.step import weighted_residuals
+from jaxbundle.normals.vector import NormalVector, arranged_vectors
+from jaxbundle.solve.implicit import moved, zero_vector
+
+MOST_UNKNOWNS = 3000  # N of so many takes 72 MB
+
+
+class Precision(NamedTuple):
+    """What has derivatives of `Cofactors`."""
+
+    images: Float[Array, "image d d"]
+    border: Float[Array, "border border"]
+    points: Float[Array, "3 3 tile column"]
+    leverages: list[Array]
+
+
+def with_derivatives(found: Cofactors, x: Arranged, p: Problem, plan: Arrangement, structure: Structure) -> Cofactors:
+    """The cofactors as functions of the unknowns and of the observations."""
+    free = None
+    if structure.unknowns <= MOST_UNKNOWNS:
+        images, points = len(structure.image_names), len(structure.point_names)
+        shapes = (images, 6), structure.interior_free[:, list(structure.interior_columns)].shape
+        ones = (np.ones((1, *shape)) for shape in (*shapes, structure.parameter_free.shape, (points, 3)))
+        masks = arranged_vectors(plan, structure, *ones)
+        free = np.flatnonzero(np.concatenate([np.ravel(mask) for mask in masks]))
+    given = Precision(found.images, found.border, found.points, found.leverages)
+    q = _precision(given, x, p, free)
+    return found._replace(images=q.images, border=q.border, points=q.points, leverages=q.leverages)
+
+
+@eqx.filter_custom_jvp
+def _precision(found: Precision, x: Arranged, p: Problem, free: Int[np.ndarray, " free"] | None) -> Precision:
+    return found
+
+
+@_precision.def_jvp
+def _precision_jvp(primals: tuple, tangents: tuple) -> tuple[Precision, Precision]:
+    found, x, p, free = primals
+    compute = _by_engine if free is None else lambda x, p: _dense(x, p, free)
+    return _precision(found, x, p, free), eqx.filter_jvp(compute, (x, p), tangents[1:3])[1]
+
+
+def _by_engine(x: Arranged, p: Problem) -> Precision:
+    q = cofactors(x, p)
+    return Precision(q.images, q.border, q.points, q.leverages)
+
+
+@eqx.filter_jit
+def _dense(x: Arranged, p: Problem, free: Int[Array, " free"]) -> Precision:
+    """The same from the whole of Q."""
+    zero = zero_vector(p)
+    sizes = np.cumsum([part.size for part in zero])
+
+    def vector(flat: Float[Array, " unknown"]) -> NormalVector:
+        return NormalVector(*(f.reshape(z.shape) for f, z in zip(jnp.split(flat, sizes[:-1]), zero, strict=True)))
+
+    def residuals(d: Float[Array, " free"]) -> tuple[Array, ...]:
+        return tuple(weighted_residuals(moved(x, p, vector(jnp.zeros(sizes[-1]).at[free].set(d))), p))
+
+    columns = jax.jacfwd(residuals)(jnp.zeros(free.shape))
+    design = jnp.concatenate([a.reshape(-1, len(free)) for a in columns])
+    scale = 1 / jnp.linalg.norm(design, axis=0)
+    factor = jax.scipy.linalg.cho_factor((design * scale).T @ (design * scale), lower=True)
+    q = scale[:, None] * jax.scipy.linalg.cho_solve(factor, jnp.diag(scale))
+    leverages = jnp.sum((design @ q) * design, 1)
+    at_residual = np.cumsum([a.size // len(free) for a in columns])
+    parts = zip(jnp.split(leverages, at_residual[:-1]), columns, strict=True)
+    place = jnp.full(sizes[-1], len(free)).at[free].set(jnp.arange(len(free)))
+    return Precision(*_blocks(q, vector(place)), [part.reshape(a.shape[:-1]) for part, a in parts])
+
+
+def _blocks(q: Float[Array, "free free"], place: NormalVector) -> tuple[Array, Array, Array]:
+    """The blocks of Q of images, border and eliminated points; `place`: where every unknown stands in Q."""
+
+    def of(rows: Int[Array, "*entity k"]) -> Float[Array, "*entity k k"]:
+        return q.at[rows[..., :, None], rows[..., None, :]].get(mode="fill", fill_value=0.0)
+
+    return of(place.images), of(place.border), of(jnp.moveaxis(place.tiles, 0, -1)).transpose(2, 3, 0, 1)
