@@ -18,7 +18,7 @@ from jaxbundle.block.observations import ObservationGroup
 from jaxbundle.block.residuals import Observations, group_arrays
 from jaxbundle.block.unknowns import Unknowns, corrected_in_angles
 from jaxbundle.normals import ordering
-from jaxbundle.normals.cells import Tiles
+from jaxbundle.normals.cells import Tiles, to_cells
 from jaxbundle.normals.eliminate import Shape
 from jaxbundle.normals.kept import KeptRays
 from jaxbundle.normals.long_tiles import long_tiling
@@ -361,12 +361,11 @@ def problem(a: Arrangement, block: Block) -> Problem:
 def _tiles(part: Part, block: Block) -> Tiles:
     """The rays of eliminated points as cells."""
     t = part.tiling
-    cell = np.append(part.rays, 0)[t.ray]  # -1, no ray, reads the appended one and gets weight 0
     coordinates, sigmas = on_host(block.rays.coordinates), on_host(block.rays.sigmas)
     xp = np if is_concrete(coordinates) else jnp
-    measured = xp.stack([coordinates[:, k][cell] for k in range(2)], 2)
+    measured = xp.stack([to_cells(coordinates[:, k], t.ray, part.rays) for k in range(2)], 2)
     xp = np if is_concrete(sigmas) else jnp
-    weights = xp.stack([(t.ray >= 0) / sigmas[:, k][cell] for k in range(2)], 2)
+    weights = xp.stack([to_cells(1 / sigmas[:, k], t.ray, part.rays) for k in range(2)], 2)
     slot_image, slot_tile, measured, weights, chunks = (
         on_device(x) for x in (t.slot_image, t.slot_tile, measured, weights, t.chunks)
     )

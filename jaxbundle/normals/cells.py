@@ -4,16 +4,44 @@ All cell arrays are (slot, column), what belongs to a slot is (slot, 1). What is
 last axis, which is long: on a CPU that is several times faster than stacking.
 """
 
+from functools import partial
 from typing import NamedTuple
 
 import equinox as eqx
+import jax
 import jax.numpy as jnp
+import numpy as np
 from jax import lax
 from jaxtyping import Array, Bool, Float, Int
 
 from jaxbundle.camera.collinearity import Vector
 from jaxbundle.geometry.rotation import Rotation
 from jaxbundle.normals.products import AbstractProducts
+from jaxbundle.numerics.host import is_concrete
+
+
+def to_cells(
+    values: Float[Array, " ray"], cell: Int[np.ndarray, "device chunk slot column"], rays: Int[np.ndarray, " of_part"]
+) -> Float[Array, "device chunk slot column"]:
+    """The numbers of the rays, 0 where there is none; `cell`: which of the part's `rays` a cell has, or -1."""
+    if is_concrete(values):
+        return np.append(values[rays], 0.0)[cell]
+    return _to_cells(values, np.append(rays, len(values))[cell])
+
+
+@partial(jax.custom_jvp, nondiff_argnums=(1,))
+def _to_cells(values: Array, ray: Int[np.ndarray, "device chunk slot column"]) -> Array:
+    return jnp.append(values, 0.0)[ray]
+
+
+@_to_cells.defjvp
+def _to_cells_jvp(ray: np.ndarray, primals: tuple, tangents: tuple) -> tuple[Array, Array]:
+    # written as a scatter, because the transposed one of that is a gather, which is cheap
+    flat, place = ray.ravel(), np.full(len(primals[0]), ray.size)
+    used = np.flatnonzero(flat < len(place))
+    place[flat[used]] = used
+    put = jnp.zeros(ray.size).at[place].set(tangents[0], mode="drop", unique_indices=True)
+    return _to_cells(primals[0], ray), put.reshape(ray.shape)
 
 
 class Tiles(eqx.Module):

@@ -15,6 +15,7 @@ import jax
 import jax.numpy as jnp
 import numpy as np
 from jax import lax
+from jax.flatten_util import ravel_pytree
 from jaxtyping import Array, Bool
 
 from jaxbundle.block.unknowns import Unknowns, corrected
@@ -39,6 +40,7 @@ def _minimum_jvp(primals: tuple, tangents: tuple) -> tuple[Arranged, Arranged]:
     x = minimum(found, start, p, converged, derivatives)
     given, given_dot = (start, p), tangents[1:3]
     _, g_dot = eqx.filter_jvp(lambda start, p: _gradient(x, start, p), given, given_dot)
+    g_dot = NormalVector(*(z if g is None else g for g, z in zip(g_dot, zero_vector(p), strict=True)))
     negative = jax.tree.map(lambda g: jnp.where(converged, -g, jnp.nan), g_dot)
     d = _solve(x, start, p, negative, derivatives)
     x_dot = eqx.filter_jvp(lambda start, d: _moved(x, start, p, d), (start, zero_vector(p)), (given_dot[0], d))[1]
@@ -101,23 +103,24 @@ def _gradient(x: Arranged, start: Arranged, p: Problem) -> NormalVector:
 def _solve(x: Arranged, start: Arranged, p: Problem, right: NormalVector, derivatives: Derivatives) -> NormalVector:
     """H^-1 b. The engine solves; what is differentiated once more, where it is, is the product H d."""
     zero = zero_vector(p)
+    flat, vector = ravel_pytree(right)  # one array: parts that depend on nothing have no transposed solution
 
-    def exact(d: NormalVector) -> NormalVector:
-        return jax.jvp(lambda e: jax.grad(_cost)(e, x, start, p), (zero,), (d,))[1]
+    def exact(d: Array) -> Array:
+        return ravel_pytree(jax.jvp(lambda e: jax.grad(_cost)(e, x, start, p), (zero,), (vector(d),))[1])[0]
 
-    def gauss_newton(d: NormalVector) -> NormalVector:
+    def gauss_newton(d: Array) -> Array:
         def residuals(e: NormalVector) -> list[Array]:
             return weighted_residuals(moved(_held(x, start, p), p, e), p)
 
-        _, along = jax.jvp(residuals, (zero,), (d,))
-        return jax.vjp(residuals, zero)[1](along)[0]
+        _, along = jax.jvp(residuals, (zero,), (vector(d),))
+        return ravel_pytree(jax.vjp(residuals, zero)[1](along)[0])[0]
 
-    def by_elimination(_, b: NormalVector) -> NormalVector:
+    def by_elimination(_, b: Array) -> Array:
         if derivatives == "exact":
-            return solve_hessian(*constant, b)
-        solution = solve_normals(*constant, jax.tree.map(lambda part: part[None], b))
-        return jax.tree.map(lambda part: part[0], solution)
+            return ravel_pytree(solve_hessian(*constant, vector(b)))[0]
+        solution = solve_normals(*constant, jax.tree.map(lambda part: part[None], vector(b)))
+        return ravel_pytree(solution)[0]
 
     constant = lax.stop_gradient((_held(x, start, p), p))
     product = exact if derivatives == "exact" else gauss_newton
-    return lax.custom_linear_solve(product, right, by_elimination, symmetric=True)
+    return vector(lax.custom_linear_solve(product, flat, by_elimination, symmetric=True))
