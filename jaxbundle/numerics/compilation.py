@@ -52,7 +52,7 @@ class Compiled:
         return self._programs[key](arrays)
 
     def _inside(self, structure: Any, static: tuple) -> Callable[..., Any]:
-        """The function for a program that is being traced, or differentiated: traced once."""
+        """The function for arguments that are traced; a program inside of another one has no options of its own."""
         key = structure, static
         if key not in self._traced:
 

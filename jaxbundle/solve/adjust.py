@@ -139,7 +139,7 @@ def _least_squares(block: Block, wanted: _Wanted, precision: bool, checkpoint: P
         centred = block.moved(-origin)
         given, start = problem(plan, centred), arranged_unknowns(plan, unknowns_of(centred))
         converged = iterations.status == Status.CONVERGED
-        arranged = minimum(arranged, start, given, converged, wanted.derivatives)
+        arranged = minimum(arranged, start, given, converged, wanted.derivatives, optimised)
     if block.structure.datum.kind == "inner":
         arranged = arranged_unknowns(plan, constrained(centred, restored_unknowns(plan, arranged)))
         block = dataclasses.replace(block, structure=freed(block.structure))

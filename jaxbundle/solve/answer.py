@@ -66,7 +66,7 @@ def adjustment(
     blocks, redundancy_numbers, weak = None, None, ()
     if answer.cofactors is not None:
         if not block.concrete:
-            q = with_derivatives(answer.cofactors, arranged, problem, plan, block.structure)
+            q = with_derivatives(answer.cofactors, arranged, problem, plan, block.structure, optimised)
             answer = answer._replace(cofactors=q)
         inner = None
         if block.structure.datum.kind == "inner":

@@ -24,27 +24,33 @@ from jaxbundle.normals.hessian import solve_hessian
 from jaxbundle.normals.solution import solve_normals
 from jaxbundle.normals.step import correction_of, kept_free, weighted_residuals
 from jaxbundle.normals.vector import NormalVector
+from jaxbundle.numerics.compilation import Compiled
 
 Derivatives = Literal["exact", "gauss-newton"]
 
 
 @eqx.filter_custom_jvp
-def minimum(found: Arranged, start: Arranged, p: Problem, converged: Bool[Array, ""], derivatives: Derivatives):
+def minimum(
+    found: Arranged, start: Arranged, p: Problem, converged: Bool[Array, ""], derivatives: Derivatives, optimised: bool
+) -> Arranged:
     """`found` as a function of `p` and of what is held in `start`; its derivatives are NaN unless it has converged."""
     return found
 
 
 @minimum.def_jvp
 def _minimum_jvp(primals: tuple, tangents: tuple) -> tuple[Arranged, Arranged]:
-    found, start, p, converged, derivatives = primals
-    x = minimum(found, start, p, converged, derivatives)
+    _, start, p, converged, derivatives, optimised = primals
+    x = minimum(*primals)
     given, given_dot = (start, p), tangents[1:3]
-    _, g_dot = eqx.filter_jvp(lambda start, p: _gradient(x, start, p), given, given_dot)
+    _, g_dot = eqx.filter_jvp(lambda start, p: _gradient(x, start, p, optimised=optimised), given, given_dot)
     g_dot = NormalVector(*(z if g is None else g for g, z in zip(g_dot, zero_vector(p), strict=True)))
-    negative = jax.tree.map(lambda g: jnp.where(converged, -g, jnp.nan), g_dot)
-    d = _solve(x, start, p, negative, derivatives)
-    x_dot = eqx.filter_jvp(lambda start, d: _moved(x, start, p, d), (start, zero_vector(p)), (given_dot[0], d))[1]
-    return x, x_dot
+    sign = jnp.where(converged, -1.0, jnp.nan)
+    d = _solve(x, start, p, jax.tree.map(lambda g: sign * g, g_dot), derivatives, optimised=optimised)
+
+    def moved_by(start: Arranged, d: NormalVector) -> Arranged:
+        return _moved(x, start, p, d, optimised=optimised)
+
+    return x, eqx.filter_jvp(moved_by, (start, zero_vector(p)), (given_dot[0], d))[1]
 
 
 def zero_vector(p: Problem) -> NormalVector:
@@ -60,7 +66,7 @@ def moved(x: Arranged, p: Problem, d: NormalVector) -> Arranged:
     return Arranged(images, x.tiles + jnp.where(p.free_tiles, d.tiles, 0.0))
 
 
-@eqx.filter_jit
+@Compiled
 def _moved(x: Arranged, start: Arranged, p: Problem, d: NormalVector) -> Arranged:
     return moved(_held(x, start, p), p, d)
 
@@ -92,14 +98,14 @@ def _cost(d: NormalVector, x: Arranged, start: Arranged, p: Problem) -> Array:
     return 0.5 * sum(jnp.sum(v * v) for v in weighted_residuals(moved(_held(x, start, p), p, d), p))
 
 
-@eqx.filter_jit
+@Compiled
 def _gradient(x: Arranged, start: Arranged, p: Problem) -> NormalVector:
     """g."""
     # recomputed in the transposed pass: what it would keep of every ray outweighs the block
     return jax.grad(eqx.filter_checkpoint(_cost))(zero_vector(p), x, start, p)
 
 
-@eqx.filter_jit
+@Compiled
 def _solve(x: Arranged, start: Arranged, p: Problem, right: NormalVector, derivatives: Derivatives) -> NormalVector:
     """H^-1 b. The engine solves; what is differentiated once more, where it is, is the product H d."""
     zero = zero_vector(p)

@@ -21,6 +21,8 @@ from jaxbundle.normals.arrange import Arranged, Arrangement, Problem
 from jaxbundle.normals.cofactors import Cofactors, cofactors
 from jaxbundle.normals.step import weighted_residuals
 from jaxbundle.normals.vector import NormalVector, arranged_vectors
+from jaxbundle.numerics.compilation import Compiled
+from jaxbundle.numerics.host import on_device
 from jaxbundle.solve.implicit import moved, zero_vector
 
 MOST_UNKNOWNS = 3000  # N of so many takes 72 MB
@@ -35,7 +37,9 @@ class Precision(NamedTuple):
     leverages: list[Array]
 
 
-def with_derivatives(found: Cofactors, x: Arranged, p: Problem, plan: Arrangement, structure: Structure) -> Cofactors:
+def with_derivatives(
+    found: Cofactors, x: Arranged, p: Problem, plan: Arrangement, structure: Structure, optimised: bool
+) -> Cofactors:
     """The cofactors as functions of the unknowns and of the observations."""
     free = None
     if structure.unknowns <= MOST_UNKNOWNS:
@@ -43,30 +47,38 @@ def with_derivatives(found: Cofactors, x: Arranged, p: Problem, plan: Arrangemen
         shapes = (images, 6), structure.interior_free[:, list(structure.interior_columns)].shape
         ones = (np.ones((1, *shape)) for shape in (*shapes, structure.parameter_free.shape, (points, 3)))
         masks = arranged_vectors(plan, structure, *ones)
-        free = np.flatnonzero(np.concatenate([np.ravel(mask) for mask in masks]))
+        free = on_device(np.flatnonzero(np.concatenate([np.ravel(mask) for mask in masks])))
     given = Precision(found.images, found.border, found.points, found.leverages)
-    q = _precision(given, x, p, free)
+    q = _precision(given, x, p, free, optimised)
     return found._replace(images=q.images, border=q.border, points=q.points, leverages=q.leverages)
 
 
 @eqx.filter_custom_jvp
-def _precision(found: Precision, x: Arranged, p: Problem, free: Int[np.ndarray, " free"] | None) -> Precision:
+def _precision(
+    found: Precision, x: Arranged, p: Problem, free: Int[Array, " free"] | None, optimised: bool
+) -> Precision:
     return found
 
 
 @_precision.def_jvp
 def _precision_jvp(primals: tuple, tangents: tuple) -> tuple[Precision, Precision]:
-    found, x, p, free = primals
-    compute = _by_engine if free is None else lambda x, p: _dense(x, p, free)
-    return _precision(found, x, p, free), eqx.filter_jvp(compute, (x, p), tangents[1:3])[1]
+    _, x, p, free, optimised = primals
+
+    def compute(x: Arranged, p: Problem) -> Precision:
+        if free is None:
+            return _by_engine(x, p, optimised=optimised)
+        return _dense(x, p, free, optimised=optimised)
+
+    return _precision(*primals), eqx.filter_jvp(compute, (x, p), tangents[1:3])[1]
 
 
+@Compiled
 def _by_engine(x: Arranged, p: Problem) -> Precision:
     q = cofactors(x, p)
     return Precision(q.images, q.border, q.points, q.leverages)
 
 
-@eqx.filter_jit
+@Compiled
 def _dense(x: Arranged, p: Problem, free: Int[Array, " free"]) -> Precision:
     """The same from the whole of Q."""
     zero = zero_vector(p)
