@@ -28,10 +28,8 @@ from jaxbundle.normals.point_blocks import PointFactor, backward, forward
 from jaxbundle.normals.reduced_system import factorise, solve
 from jaxbundle.normals.rows import image_equation
 from jaxbundle.normals.step import (
-    AXIS,
     Linearised,
     correction_of,
-    device_mesh,
     direction_of,
     kept_rows,
     linearise,
@@ -40,6 +38,7 @@ from jaxbundle.normals.step import (
     reduced_system,
 )
 from jaxbundle.normals.substitute import image_values, split_values
+from jaxbundle.numerics.devices import AXIS, device_mesh
 
 
 class NormalVector(NamedTuple):

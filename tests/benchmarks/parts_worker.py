@@ -33,10 +33,8 @@ from jaxbundle.normals.cofactors import cofactors  # noqa: E402
 from jaxbundle.normals.eliminate import eliminate  # noqa: E402
 from jaxbundle.normals.reduced_system import ReducedSystem, factorise, step  # noqa: E402
 from jaxbundle.normals.step import (  # noqa: E402
-    AXIS,
     Linearised,
     correction_of,
-    device_mesh,
     direction_of,
     linearise,
     local_tiles,
@@ -46,6 +44,7 @@ from jaxbundle.normals.step import (  # noqa: E402
     trial_step,
 )
 from jaxbundle.normals.substitute import image_values, substitute  # noqa: E402
+from jaxbundle.numerics.devices import AXIS, device_mesh  # noqa: E402
 from jaxbundle.solve.adjust import RAYS_FOR_DEVICES  # noqa: E402
 from jaxbundle.solve.search import DampedSearch  # noqa: E402
 
