@@ -40,8 +40,15 @@ def dealt(value: Any, devices: int, axis: int = 0) -> Array:
     return put(value, NamedSharding(device_mesh(devices), PartitionSpec(*[None] * axis, AXIS)))
 
 
+def meet() -> None:
+    """Waits for all processes. Devices that exchange anything for the first time must do so within 30 s of each other
+    (gloo), which processes that read and compile at their own pace would miss."""
+    if jax.process_count() > 1:
+        multihost_utils.sync_global_devices("jaxbundle")
+
+
 def is_first_process() -> bool:
-    """Whether this is the process that writes and prints, as the only one does."""
+    """Whether this is the process that writes and prints; one alone is."""
     return jax.process_index() == 0
 
 
