@@ -1,6 +1,7 @@
 """The points dealt to the devices of two processes: the same answer in both as on one device."""
 
 import os
+import signal
 import socket
 import subprocess
 import sys
@@ -8,13 +9,18 @@ import time
 from pathlib import Path
 
 import numpy as np
+import pytest
+import typer
 from distributed_worker import SOLVERS, found
-from simulated import long_block
+from simulated import long_block, small_block
 
+from jaxbundle.cli.cluster import cluster_of
+from jaxbundle.io import write_block_folder
 from jaxbundle.solve.adjust import adjust
 
 ROOT = Path(__file__).parents[1]
 WORKER = Path(__file__).with_name("distributed_worker.py")
+CLI = "import sys; from jaxbundle.cli import main, runtime; runtime.MEETING = int(sys.argv.pop(1)); main.main()"
 LONGEST, LEFT_ALONE = 300.0, 60.0  # seconds: of a run; of a process that goes on after another has ended
 
 
@@ -67,3 +73,68 @@ def test_two_processes_with_different_blocks_say_so(tmp_path: Path) -> None:
     for code, output in adjusted_by_two(tmp_path, (4, 5)):
         assert code == 1
         assert "the 2 processes adjust different blocks" in output
+
+
+def test_the_first_process_of_a_cluster_writes(tmp_path: Path) -> None:
+    write_block_folder(small_block().block, tmp_path / "block")
+    address = free_address()
+    command = [
+        sys.executable,
+        "-c",
+        CLI,
+        "30",
+        "adjust",
+        str(tmp_path / "block"),
+        "--no-precision",
+        "--coordinator",
+        address,
+    ]
+    command += ["--processes", "2", "--checkpoint", str(tmp_path / "state")]
+    first, second = together([[*command, "--out", str(tmp_path / str(k)), "--process", str(k)] for k in range(2)])
+    assert (first[0], second[0]) == (0, 0), first[1] + second[1]
+    assert "sigma0" in first[1] and "sigma0" not in second[1]
+    assert (tmp_path / "0" / "report.txt").exists() and not (tmp_path / "1").exists()
+
+
+def test_a_process_that_fails_ends_the_others(tmp_path: Path) -> None:
+    write_block_folder(small_block().block, tmp_path / "block")
+    common = ["--no-precision", "--coordinator", free_address(), "--processes", "2", "--process"]
+    command = [sys.executable, "-c", CLI, "30", "adjust"]
+    (code, output), (other, _) = together(
+        [[*command, str(tmp_path / "nothing"), *common, "0"], [*command, str(tmp_path / "block"), *common, "1"]]
+    )
+    assert code == 2 and "nothing" in output
+    assert other not in (0, -signal.SIGKILL)
+
+
+def test_a_cluster_that_does_not_meet(tmp_path: Path) -> None:
+    command = [
+        sys.executable,
+        "-c",
+        CLI,
+        "3",
+        "adjust",
+        str(tmp_path),
+        "--coordinator",
+        free_address(),
+        "--processes",
+        "2",
+    ]
+    ((code, output),) = together([[*command, "--process", "1"]])
+    assert code == 2
+    assert "process 1 of 2 did not meet all others" in output
+
+
+@pytest.mark.parametrize(
+    ("options", "words"),
+    [
+        (("10.0.0.1", 2, 0), "HOST:PORT"),
+        (("10.0.0.1:4000", 2, None), "needs --processes N and --process I"),
+        (("10.0.0.1:4000", 2, 2), "not from 0 to 1"),
+        ((None, 2, 0), "belong to --coordinator"),
+        (("auto", 2, 0), "by itself"),
+    ],
+)
+def test_options_that_do_not_belong_together(options: tuple[str | None, int, int | None], words: str) -> None:
+    with pytest.raises(typer.BadParameter, match=words):
+        cluster_of(*options)
