@@ -37,7 +37,7 @@ from jaxbundle.normals.symbolic import fill  # noqa: E402
 REPETITIONS, D, FLOAT = 5, 6, 8
 CORES, NETWORK = 8, 1.25e9  # assumed: of a machine; bytes a second between two machines (10 Gbit/s)
 RAYS_AN_IMAGE = 10_000
-HOST_BYTES = 100  # a ray, counted: coordinates, sigmas, numbers (48), and the layout of the tiles while it is made
+HOST_BYTES = 200  # a ray, reading and laying out: growth of peak memory from 320 to 1200 images (265), less ray_bytes
 
 
 class Constants(NamedTuple):
