@@ -1,6 +1,10 @@
 import os
 from pathlib import Path
 
+# the suite is compilation: all programs are made quickly, as those of small blocks always are
+QUICKLY = "--xla_backend_optimization_level=0 --xla_cpu_use_fusion_emitters=false"
+os.environ["XLA_FLAGS"] = f"{os.environ.get('XLA_FLAGS', '')} {QUICKLY}"
+
 import jax
 import pytest
 

@@ -30,3 +30,20 @@ def small_block(noise: float = 1.0) -> Simulation:
         noise=noise,
         seed=4,
     )
+
+
+def long_block(seed: int = 4) -> Simulation:
+    """Two strips of twenty images: long enough for two devices to factorise one end each."""
+    return simulate(
+        2,
+        20,
+        camera=CAMERA,
+        forward_overlap=0.6,
+        side_overlap=0.3,
+        points_per_image=20,
+        control_rows=3,
+        control_sigma=(0.05, 0.05, 0.0),
+        station_sigma=0.1,
+        noise=1.0,
+        seed=seed,
+    )

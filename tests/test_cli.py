@@ -38,7 +38,7 @@ def adjustment(folder):
 def run(tmp_path, monkeypatch, capsys):
     """Runs a command line in an empty folder; exit code, standard output, standard error."""
     monkeypatch.chdir(tmp_path)
-    monkeypatch.setattr(runtime, "start", lambda: None)  # it sets JAX up for the whole process
+    monkeypatch.setattr(runtime, "start", lambda cluster=None: None)  # it sets JAX up for the whole process
 
     def call(*arguments: object) -> tuple[int, str, str]:
         monkeypatch.setattr(sys, "argv", ["jaxbundle", *map(str, arguments)])

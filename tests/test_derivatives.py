@@ -1,6 +1,7 @@
 """Derivatives through the adjustment: implicit = central differences, transposed = forward."""
 
 import dataclasses
+from functools import partial
 
 import equinox as eqx
 import jax
@@ -11,6 +12,7 @@ from bent import SIGMA, bent_block
 from jaxtyping import Array, Float
 
 import jaxbundle as jb
+from jaxbundle.solve.implicit import Derivatives
 
 SHARP = jb.AngleRule(1e-13)  # differences need the digits
 LEAVES = {  # what is varied, and by how much at once
@@ -56,9 +58,10 @@ def numbers(result: jb.Adjustment) -> dict[str, Array]:
         "sigma0": result.sigma0,
         "residuals": sum(map(mixed, result.residuals)),
     }
-    if result.cofactors is None:
+    r = result.redundancy_numbers
+    if result.cofactors is None or r is None:
         return found
-    sd, r = result.standard_deviations, result.redundancy_numbers
+    sd = result.standard_deviations
     controlled = r[0] > 0.1  # in the direction of the base nothing controls a point of two images
     return found | {
         "sd of points": mixed(sd.object_points),
@@ -72,7 +75,7 @@ def numbers(result: jb.Adjustment) -> dict[str, Array]:
     }
 
 
-def adjusted(t: Float[Array, " leaf"], precision: bool = True, derivatives: str = "exact") -> dict[str, Array]:
+def adjusted(t: Float[Array, " leaf"], precision: bool = True, derivatives: Derivatives = "exact") -> dict[str, Array]:
     return numbers(jb.adjust(varied(t), stop=SHARP, precision=precision, derivatives=derivatives))
 
 
@@ -106,8 +109,9 @@ def test_reverse_mode_gives_the_same(forward):
 def test_exact_derivatives_beat_gauss_newton(differences):
     """With residuals of three sigmas the second derivatives count."""
     off = {}
-    for derivatives in ("exact", "gauss-newton"):
-        found = jax.jacrev(lambda t: adjusted(t, False, derivatives))(jnp.zeros(len(LEAVES)))  # noqa: B023
+    kinds: tuple[Derivatives, ...] = "exact", "gauss-newton"
+    for derivatives in kinds:
+        found = jax.jacrev(partial(adjusted, precision=False, derivatives=derivatives))(jnp.zeros(len(LEAVES)))
         off[derivatives] = max(
             np.abs(found[k] - differences[k]).max() / np.abs(differences[k]).max() for k in ("points", "angles")
         )
@@ -136,7 +140,7 @@ def test_no_derivative_without_a_minimum():
     """Stopped on its way, an adjustment is no function of what was given: no number is a derivative."""
     far = eqx.tree_at(lambda b: b.object_points, BLOCK, BLOCK.object_points + 20.0)
 
-    def height(shift: Array) -> Array:
+    def height(shift: float) -> Array:
         moved = eqx.tree_at(lambda b: b.groups[0].values, far, far.groups[0].values + shift)
         return jb.adjust(moved, max_iterations=1, precision=False).block.object_points[0, 2]
 
@@ -144,14 +148,14 @@ def test_no_derivative_without_a_minimum():
 
 
 def test_what_has_no_derivatives_says_so():
-    def robust(shift: Array) -> Array:
+    def robust(shift: float) -> Array:
         moved = eqx.tree_at(lambda b: b.rays.coordinates, BLOCK, BLOCK.rays.coordinates + shift)
         return jb.adjust(moved, robust=jb.Huber()).sigma0
 
     with pytest.raises(ValueError, match="robust estimation chooses its weights outside"):
         jax.grad(robust)(0.0)
     with pytest.raises(ValueError, match="no derivatives 'by hand'; there are"):
-        jb.adjust(BLOCK, derivatives="by hand")
+        jb.adjust(BLOCK, derivatives="by hand")  # pyright: ignore[reportArgumentType]
 
 
 def test_the_datum_is_chosen_under_grad_but_not_under_jit():
@@ -159,7 +163,7 @@ def test_the_datum_is_chosen_under_grad_but_not_under_jit():
     structure = dataclasses.replace(BLOCK.structure, datum=jb.Datum("open"))
     bare = dataclasses.replace(BLOCK, structure=structure, groups=())
 
-    def sigma0(factor: Array) -> Array:
+    def sigma0(factor: float) -> Array:
         return jb.adjust(eqx.tree_at(lambda b: b.rays.sigmas, bare, factor * bare.rays.sigmas), precision=False).sigma0
 
     np.testing.assert_allclose(jax.grad(sigma0)(1.0), -sigma0(1.0), rtol=1e-9)
@@ -171,7 +175,7 @@ def test_a_free_network_says_why_it_has_none():
     structure = dataclasses.replace(BLOCK.structure, datum=jb.Datum("inner"))
     free = dataclasses.replace(BLOCK, structure=structure, groups=())
 
-    def height(factor: Array) -> Array:
+    def height(factor: float) -> Array:
         return jb.adjust(eqx.tree_at(lambda b: b.rays.sigmas, free, factor * free.rays.sigmas)).sigma0
 
     with pytest.raises(ValueError, match="a free network is adjusted outside of jit, grad and vmap"):

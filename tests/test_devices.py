@@ -6,7 +6,7 @@ import jax
 import jax.numpy as jnp
 import numpy as np
 import pytest
-from simulated import small_block
+from simulated import long_block, small_block
 from test_elimination import with_distances, with_private_cameras
 
 from jaxbundle.block.block import Block
@@ -42,11 +42,17 @@ def test_one_step_is_the_same(make: Callable[[Block], Block]) -> None:
 
 
 def test_the_adjustment_is_the_same() -> None:
-    block = small_block().block
-    one, two = (adjust(block, devices=devices, reduced="panels") for devices in (1, 2))
-    np.testing.assert_allclose(two.sigma0, one.sigma0, rtol=1e-12)
+    block = long_block().block
+    one, four = (adjust(block, devices=devices, reduced="panels") for devices in (1, 4))
+    np.testing.assert_allclose(four.sigma0, one.sigma0, rtol=1e-12)
     sd = one.standard_deviations
-    for a, b in zip(two.standard_deviations, sd, strict=True):
+    for a, b in zip(four.standard_deviations, sd, strict=True):
         np.testing.assert_allclose(a, b, rtol=1e-9)
-    off = np.abs(two.block.object_points - one.block.object_points)
+    off = np.abs(four.block.object_points - one.block.object_points)
     assert np.all(off <= 1e-6 * np.maximum(sd.object_points, 1e-9))
+
+
+@pytest.mark.parametrize("devices", [-1, 5])
+def test_devices_that_are_not_there(devices: int) -> None:
+    with pytest.raises(ValueError, match="JAX has 4"):
+        adjust(small_block().block, devices=devices)

@@ -10,8 +10,10 @@ from jaxbundle.block.block import Block
 from jaxbundle.block.changes import with_interior_held
 from jaxbundle.block.problems import BlockError
 from jaxbundle.cli.progress import ProgressLines
+from jaxbundle.cli.runtime import finished
 from jaxbundle.io import read
 from jaxbundle.normals.reduced_plan import Method
+from jaxbundle.numerics.devices import is_first_process
 from jaxbundle.report.columns import wrapped
 from jaxbundle.report.files import require_place, write_report
 from jaxbundle.report.findings import findings
@@ -37,20 +39,24 @@ class Wanted(NamedTuple):
 
 
 def run(path: Path, out: Path | None, wanted: Wanted, hold_interior: bool, precision: bool) -> int:
-    """Adjusts, writes and prints; the exit code."""
-    lines = ProgressLines()
+    """Adjusts, writes and prints; the exit code. Of several processes the first one writes and prints."""
+    first = is_first_process()
+    lines = ProgressLines(quiet=not first)
     with lines.phase("reading ..."):
         block = read(path)
     block = with_interior_held(block) if hold_interior else block
     rule = stopping_rule(block, wanted)
     folder = out or Path(f"{path.resolve().stem}-adjusted")
-    require_place(folder, block, wanted.robust is not None)  # before the work, not after it
+    if first:
+        require_place(folder, block, wanted.robust is not None)  # before the work, not after it
     with lines.phase("adjusting"):
         adjustment = _adjusted(block, wanted, rule, precision, lines)
-    with lines.phase("writing"):
-        write_report(adjustment, folder)
-    echo_result(adjustment)
-    typer.echo(f"Results: {folder}")
+    if first:
+        with lines.phase("writing"):
+            write_report(adjustment, folder)
+        echo_result(adjustment)
+        typer.echo(f"Results: {folder}")
+    finished()
     return 0 if adjustment.trustworthy else 1
 
 

@@ -15,6 +15,7 @@ from typing import Annotated, Literal
 import typer
 
 from jaxbundle.block.problems import BlockError
+from jaxbundle.cli.cluster import Cluster, cluster_of
 
 app = typer.Typer(
     add_completion=False,
@@ -39,9 +40,9 @@ def main() -> None:
         sys.exit(2)
 
 
-def _loaded(command: str) -> ModuleType:
+def _loaded(command: str, cluster: Cluster | None = None) -> ModuleType:
     """The module of a command, with JAX set up for it."""
-    importlib.import_module("jaxbundle.cli.runtime").start()
+    importlib.import_module("jaxbundle.cli.runtime").start(cluster)
     return importlib.import_module(f"jaxbundle.cli.{command}")
 
 
@@ -109,13 +110,23 @@ def adjust(
         ),
     ] = None,
     no_precision: Annotated[bool, typer.Option("--no-precision", help="No standard deviations.")] = False,
+    coordinator: Annotated[
+        str | None,
+        typer.Option(
+            metavar="HOST:PORT",
+            help="Address of process 0 of a cluster, the same for all; auto: as Slurm, Open MPI or Kubernetes say.",
+            show_default=False,
+        ),
+    ] = None,
+    processes: Annotated[int | None, typer.Option(help="Processes of the cluster.", show_default=False)] = None,
+    process: Annotated[int | None, typer.Option(help="Number of this process, from 0 on.", show_default=False)] = None,
 ) -> None:
     """Adjust a block and write its report and tables.
 
     Exit code 0: adjusted; 1: adjusted, but not converged or with undetermined unknowns; 2: bad input. Ctrl-C ends the
     iterations and keeps the last accepted unknowns.
     """
-    adjusting = _loaded("adjusting")
+    adjusting = _loaded("adjusting", cluster_of(coordinator, processes, process))
     if reduced == "pcg" and not no_precision:
         raise typer.BadParameter("--reduced pcg gives no standard deviations and needs --no-precision")
     if robust is not None and checkpoint is not None:

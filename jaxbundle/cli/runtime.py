@@ -1,23 +1,81 @@
 """JAX as the command line needs it: double precision, a device a core, and compiled programs kept for the next call."""
 
+import atexit
 import os
+import sys
 from pathlib import Path
+from threading import Timer
 
 import jax
+import typer
 
+from jaxbundle.cli.cluster import AUTOMATIC, Cluster
 from jaxbundle.numerics import programs
+from jaxbundle.numerics.devices import meet
 
 MOST_DEVICES = 8  # each holds the reduced normal equations in full
+MEETING, LOST, WRITING = 120, 60, 3600  # seconds: to wait for all processes, for a silent one, for the report
 
 
-def start() -> None:
-    """To be called before anything is computed."""
+def start(cluster: Cluster | None = None) -> None:
+    """To be called before anything is computed. `cluster`: that this process belongs to.
+
+    Raises: typer.BadParameter for a cluster that cannot be joined.
+    """
     jax.config.update("jax_enable_x64", True)
     jax.config.update("jax_num_cpu_devices", min(_cores(), MOST_DEVICES))
     jax.config.update("jax_compilation_cache_dir", str(cache_folder()))
     programs.keep_in(cache_folder() / "programs")
     jax.config.update("jax_persistent_cache_min_compile_time_secs", 0.0)
     jax.config.update("jax_persistent_cache_min_entry_size_bytes", -1)
+    if cluster is not None:
+        _join(cluster)
+
+
+def _join(cluster: Cluster) -> None:
+    """Meets the other processes. From then on a process that fails ends at once: the others are told."""
+    jax.config.update("jax_enable_preemption_service", False)  # it would take SIGTERM for a notice
+    waiting = Timer(MEETING, _not_met, [cluster])
+    waiting.daemon = True
+    waiting.start()
+    try:
+        jax.distributed.initialize(
+            None if cluster.coordinator == AUTOMATIC else cluster.coordinator,
+            cluster.processes,
+            cluster.process,
+            initialization_timeout=2 * MEETING,  # longer than our own, for JAX ends the process without a word of ours
+            heartbeat_timeout_seconds=LOST,
+            shutdown_timeout_seconds=WRITING,
+        )
+    except ValueError as error:
+        cure = "give HOST:PORT with --processes and --process" if cluster.coordinator == AUTOMATIC else "check it"
+        raise typer.BadParameter(f"--coordinator {cluster.coordinator}: no cluster ({error}); {cure}") from error
+    finally:
+        waiting.cancel()
+    meet()
+    atexit.register(_end_at_once)  # runs before JAX's own, which waits for the other processes
+
+
+def _not_met(cluster: Cluster) -> None:
+    address, count, number = cluster
+    who = "process" if number is None else f"process {number} of {count}"
+    typer.echo(
+        f"jaxbundle: {who} did not meet all others at {address} in {MEETING} s; start process 0 on that machine and one"
+        " process of every number with the same --coordinator and --processes, and let the port through the firewall",
+        err=True,
+    )
+    os._exit(2)
+
+
+def finished() -> None:
+    """The work is done: this process may end when the others do."""
+    atexit.unregister(_end_at_once)
+
+
+def _end_at_once() -> None:
+    sys.stdout.flush()
+    sys.stderr.flush()
+    os._exit(2)
 
 
 def cache_folder() -> Path:

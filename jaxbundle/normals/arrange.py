@@ -26,6 +26,7 @@ from jaxbundle.normals.products import AbstractProducts, Finder, class_products,
 from jaxbundle.normals.reduced_plan import Method, ReducedPlan, reduced_plan, too_large
 from jaxbundle.normals.reduced_system import ReducedSolver
 from jaxbundle.normals.tiles import SLOTS, Tiling, tile_width, tiling
+from jaxbundle.numerics.devices import dealt
 from jaxbundle.numerics.host import array_module, is_concrete, on_device, on_host
 from jaxbundle.numerics.shapes import grid_size
 
@@ -276,7 +277,7 @@ def arranged_unknowns(a: Arrangement, unknowns: Unknowns) -> Arranged:
         on_device(_padded(unknowns.parameters, a.shape.parameters)),
         on_device(points[:, a.places :]),
     )
-    return Arranged(images, on_device(points[:, : a.places].reshape(3, -1, a.shape.width)))
+    return Arranged(images, dealt(points[:, : a.places].reshape(3, -1, a.shape.width), a.devices, 1))
 
 
 def restored_unknowns(a: Arrangement, arranged: Arranged) -> Unknowns:
@@ -346,7 +347,7 @@ def problem(a: Arrangement, block: Block) -> Problem:
     )
     return Problem(
         observations,
-        tuple(_tiles(part, block) for part in a.parts),
+        tuple(_tiles(part, block, a.devices) for part in a.parts),
         _kept_rays(a, block),
         on_device(a.diagonal_pair),
         tuple(None if p is None else on_device(p) for p in a.group_pairs),
@@ -358,7 +359,7 @@ def problem(a: Arrangement, block: Block) -> Problem:
     )
 
 
-def _tiles(part: Part, block: Block) -> Tiles:
+def _tiles(part: Part, block: Block, devices: int) -> Tiles:
     """The rays of eliminated points as cells."""
     t = part.tiling
     coordinates, sigmas = on_host(block.rays.coordinates), on_host(block.rays.sigmas)
@@ -367,7 +368,7 @@ def _tiles(part: Part, block: Block) -> Tiles:
     xp = np if is_concrete(sigmas) else jnp
     weights = xp.stack([to_cells(1 / sigmas[:, k], t.ray, part.rays) for k in range(2)], 2)
     slot_image, slot_tile, measured, weights, chunks = (
-        on_device(x) for x in (t.slot_image, t.slot_tile, measured, weights, t.chunks)
+        dealt(x, devices) for x in (t.slot_image, t.slot_tile, measured, weights, t.chunks)
     )
     return Tiles(slot_image, slot_tile, measured, weights, chunks, part.products, t.most_tiles, t.group)
 

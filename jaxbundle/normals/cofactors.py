@@ -24,7 +24,8 @@ from jaxbundle.normals.point_blocks import PointFactor, backward
 from jaxbundle.normals.products import contracted
 from jaxbundle.normals.reduced_system import ReducedSystem, factorise
 from jaxbundle.normals.reduced_system import cofactors as reduced_cofactors
-from jaxbundle.normals.step import AXIS, Linearised, device_mesh, linearise, local_tiles, partition, reduced_system
+from jaxbundle.normals.step import Linearised, linearise, local_tiles, partition, reduced_system
+from jaxbundle.numerics.devices import AXIS, device_mesh
 
 
 class Cofactors(NamedTuple):

@@ -24,10 +24,8 @@ from jaxbundle.normals.implicit import KeptVector
 from jaxbundle.normals.rows import image_equation
 from jaxbundle.normals.solution import factorised_normals
 from jaxbundle.normals.step import (
-    AXIS,
     Linearised,
     correction_of,
-    device_mesh,
     kept_free,
     linearise,
     local_tiles,
@@ -37,6 +35,7 @@ from jaxbundle.normals.step import (
 from jaxbundle.normals.substitute import image_values, split_values
 from jaxbundle.normals.vector import NormalVector
 from jaxbundle.numerics.conjugate_gradients import conjugate_gradients
+from jaxbundle.numerics.devices import AXIS, device_mesh
 
 TOLERANCE = 1e-13  # of the first residual: a derivative is to have the digits of the unknowns
 MOST_ITERATIONS = 100

@@ -97,7 +97,7 @@ class PanelCholesky(AbstractImageFactor[Tiles]):
 
     def _part(self) -> _Part:
         device = jnp.asarray(0) if self.axis is None or self.structure.ends is None else lax.axis_index(self.axis)
-        s = jax.tree.map(lambda x: x[device], self.structure)
+        s = jax.tree.map(lambda x: x[jnp.minimum(device, x.shape[0] - 1)], self.structure)
         end_panels, end_tiles = (0, 0) if s.ends is None else _sizes(s.ends)
         panels = end_panels + _sizes(s.separator)[0]
         return _Part(s.ends, s.separator, s.position, s.pair_place, end_tiles, end_panels, panels, device == 0)

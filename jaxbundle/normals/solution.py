@@ -28,10 +28,8 @@ from jaxbundle.normals.point_blocks import PointFactor, backward, forward
 from jaxbundle.normals.reduced_system import ReducedFactor, factorise, solve
 from jaxbundle.normals.rows import image_equation
 from jaxbundle.normals.step import (
-    AXIS,
     Linearised,
     correction_of,
-    device_mesh,
     direction_of,
     kept_rows,
     linearise,
@@ -41,6 +39,7 @@ from jaxbundle.normals.step import (
 )
 from jaxbundle.normals.substitute import image_values, split_values
 from jaxbundle.normals.vector import NormalVector
+from jaxbundle.numerics.devices import AXIS, device_mesh
 
 
 def solve_normals(unknowns: Arranged, p: Problem, right: NormalVector) -> NormalVector:

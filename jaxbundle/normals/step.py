@@ -29,8 +29,7 @@ from jaxbundle.normals.reduced_system import ReducedSystem, factorise, solve, st
 from jaxbundle.normals.rows import image_equation
 from jaxbundle.normals.substitute import image_values, split_values, substitute
 from jaxbundle.numerics.conjugate_gradients import conjugate_gradients
-
-AXIS = "device"
+from jaxbundle.numerics.devices import AXIS, device_mesh, put
 
 
 class Trial(NamedTuple):
@@ -242,11 +241,6 @@ def _solve_implicitly(
     return conjugate_gradients(product, precondition, right, KeptVector.dot, TOLERANCE, MOST_ITERATIONS)[0]
 
 
-def device_mesh(devices: int) -> jax.sharding.Mesh:
-    """The devices the tiles are dealt to."""
-    return jax.make_mesh((devices,), (AXIS,), axis_types=(jax.sharding.AxisType.Auto,))
-
-
 def local_tiles(tiles: tuple[Tiles, ...]) -> tuple[Tiles, ...]:
     """A device's own tiles: the leading axis, of length 1 there, taken off."""
     return tuple(_by_device(t, lambda x: x[0], lambda pair: pair) for t in tiles)
@@ -308,7 +302,7 @@ def placed(unknowns: Arranged, p: Problem, state: Any) -> tuple[Arranged, Proble
     unknown_parts, _, problem_parts = partition(unknowns, nothing, p)
     parts = unknown_parts, problem_parts, _everywhere(state)
     where = jax.tree.map(lambda part: NamedSharding(mesh, part), parts, is_leaf=lambda x: isinstance(x, PartitionSpec))
-    return jax.device_put((unknowns, p, state), where)
+    return jax.tree.map(put, (unknowns, p, state), where)
 
 
 def _on_devices(unknowns: Arranged, linear: Linearised, damping: Array, p: Problem, free: Array) -> _RayPart:

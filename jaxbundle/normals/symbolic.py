@@ -42,8 +42,9 @@ class Columns(eqx.Module):
 
 
 class PanelStructure(eqx.Module):
-    """The lists of every device. `position`: panel q + place of an image; `pair_place`: tile, row and column in it of a
-    pool block; both beyond the end where another device answers for them, or where there is none."""
+    """The lists of every device; all beyond the second have the third one's. `position`: panel q + place of an image;
+    `pair_place`: tile, row and column in it of a pool block; both beyond the end where another device answers for them,
+    or where there is none."""
 
     ends: Columns | None
     separator: Columns
@@ -147,7 +148,7 @@ def symbolic(
     of_pair = panel[pairs]
     tiles = fill(of_pair, sum(len(p) for p in parts))
     split = len(parts[0]) > 0
-    ends = [parts[g] if g < 2 else parts[0][:0] for g in range(devices)] if split else []
+    ends = [*parts[:2], parts[0][:0]][:devices] if split else []
     tiles_of = [int(tiles[:, p].sum()) for p in (*ends, parts[2])]
     columns = -(-images // q)
     end_panels = columns if split else 0

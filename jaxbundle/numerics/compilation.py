@@ -10,6 +10,7 @@ import jax
 from jax import Array
 
 from jaxbundle.numerics import programs
+from jaxbundle.numerics.devices import meet
 from jaxbundle.numerics.host import is_concrete
 
 RAYS_FOR_OPTIMISATION = 20_000  # below, an adjustment takes less time than optimising its program
@@ -49,6 +50,8 @@ class Compiled:
         key = structure, static, placed, optimised
         if key not in self._programs:
             self._programs[key] = self._program(structure, static, arrays, {} if optimised else QUICKLY)
+            if not all(array.is_fully_addressable for array in arrays):
+                meet()
         return self._programs[key](arrays)
 
     def _inside(self, structure: Any, static: tuple) -> Callable[..., Any]:

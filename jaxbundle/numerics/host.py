@@ -9,6 +9,7 @@ import jax
 import jax.numpy as jnp
 import numpy as np
 from jax.core import Tracer
+from jax.experimental import multihost_utils
 from jaxtyping import Array
 
 
@@ -23,8 +24,15 @@ def constant(tree: Any) -> Any:
 
 
 def on_host(value: Any) -> Any:
-    """A numpy array in place of a concrete JAX array; a tracer stays what it is."""
-    return value if isinstance(value, Tracer) else np.asarray(value)
+    """A numpy array in place of a concrete JAX array; a tracer stays what it is.
+
+    What lies on devices of several processes is gathered: there all of them must ask for it.
+    """
+    if isinstance(value, Tracer):
+        return value
+    if isinstance(value, jax.Array) and not (value.is_fully_addressable or value.is_fully_replicated):
+        return np.asarray(multihost_utils.process_allgather(value, tiled=True))
+    return np.asarray(value)
 
 
 def on_device(value: Any, dtype: Any = None) -> Array:

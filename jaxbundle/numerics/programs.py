@@ -59,8 +59,8 @@ def keep_in(path: Path) -> None:
 
 
 def folder() -> Path | None:
-    """Where programs are kept, None where they are not."""
-    return _kept_in[0] if _kept_in else None
+    """Where programs are kept, None where they are not: a program of several processes is made for one of them."""
+    return _kept_in[0] if _kept_in and jax.process_count() == 1 else None
 
 
 def _setting(name: str) -> Any:

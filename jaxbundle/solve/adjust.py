@@ -25,7 +25,7 @@ from jaxbundle.numerics.precision import require_float64
 from jaxbundle.solve import levenberg_marquardt as solver
 from jaxbundle.solve.adjustment import Adjustment, Iterations, Status
 from jaxbundle.solve.answer import adjustment
-from jaxbundle.solve.checkpoint import Keeper, fingerprint
+from jaxbundle.solve.checkpoint import Keeper, fingerprint, require_same_block
 from jaxbundle.solve.free_network import constrained, freed
 from jaxbundle.solve.implicit import Derivatives, minimum
 from jaxbundle.solve.levenberg_marquardt import Arguments, BundleSolver, State
@@ -76,12 +76,12 @@ def adjust(
     `method`: "levenberg-marquardt" or "gauss-newton". `stop`: a stopping rule, AngleRule() if none is given.
     `precision`: compute cofactors and standard deviations. `engine`: "block", or "jaxopt" as a second opinion on small
     blocks. `reduced`: how the reduced equations are solved, "dense", "panels" or "pcg" (conjugate gradients, which give
-    no standard deviations), "auto" by their size. `devices`: JAX devices to deal the points to; if None all of them, or
-    one for a small block. `checkpoint`: a file that keeps the state after every accepted iteration; where it exists the
-    solve goes on from it. `robust`: a weight function for gross errors in the rays, as Huber(); its weights are kept in
-    `reweighting`. `derivatives` of the minimum, under grad, jacfwd or jacrev: "exact", or by "gauss-newton" without the
-    second derivatives of the observations. `progress` is called after every iteration. Ctrl-C ends the iterations
-    and keeps the last accepted unknowns.
+    no standard deviations), "auto" by their size. `devices`: JAX devices to deal the points to, those of all processes
+    counted; if None all of them, or one for a small block. `checkpoint`: a file that keeps the state after every
+    accepted iteration; where it exists the solve goes on from it. `robust`: a weight function for gross errors in the
+    rays, as Huber(); its weights are kept in `reweighting`. `derivatives` of the minimum, under grad, jacfwd or jacrev:
+    "exact", or by "gauss-newton" without the second derivatives of the observations. `progress` is called after every
+    iteration. Ctrl-C ends the iterations and keeps the last accepted unknowns.
 
     Raises: BlockError with all problems of the block; CheckpointError for a checkpoint of another block; ValueError for
     an unknown name or without float64.
@@ -96,6 +96,7 @@ def adjust(
     values = constant(block)
     if values.concrete:
         require_valid(values)
+        require_same_block(values, method)
     wanted = _Wanted(method, stop or AngleRule(), max_iterations, engine, reduced, devices, derivatives, progress)
     if robust is None:
         return _least_squares(block, wanted, precision, checkpoint)
@@ -130,7 +131,7 @@ def _least_squares(block: Block, wanted: _Wanted, precision: bool, checkpoint: P
     centred = values.moved(-origin)
     optimised = len(block.structure.ray_image) >= RAYS_FOR_OPTIMISATION
     centres = np.asarray(values.exterior.projection_centre) if values.concrete else None
-    devices = wanted.devices or _useful_devices(block)
+    devices = _devices(values, wanted.devices)
     plan = arrange(block.structure, block.groups, centres, devices, wanted.reduced, precision)
     run = _Run(centred, plan, Arguments(problem(plan, centred), wanted.rule.arranged(plan.order)), optimised, wanted)
     arranged, iterations = _solved(run, checkpoint)
@@ -162,9 +163,22 @@ def _solved(run: "_Run", checkpoint: Path | None) -> tuple[Arranged, Iterations]
     return _step_by_step(run, None if checkpoint is None else Keeper(checkpoint, fingerprint(block, wanted.method)))
 
 
-def _useful_devices(block: Block) -> int:
-    """Devices worth dealing the tiles to: a small block loses more to their exchange than it gains."""
-    return jax.local_device_count() if len(block.structure.ray_image) >= RAYS_FOR_DEVICES else 1
+def _devices(block: Block, wanted: int | None) -> int:
+    """Devices to deal the tiles to. A small block loses more to their exchange than it gains: if not `wanted`, one.
+
+    Raises: ValueError for a number that is not there, or that would leave a process without a part.
+    """
+    there, processes = jax.device_count(), jax.process_count()
+    if wanted is None:
+        useful = len(block.structure.ray_image) >= RAYS_FOR_DEVICES and (processes == 1 or block.concrete)
+        return there if useful else 1
+    if not 1 <= wanted <= there:
+        raise ValueError(f"devices={wanted}, but JAX has {there}; give 1 to {there}, or set jax_num_cpu_devices before")
+    if processes > 1 and wanted not in (1, there):
+        raise ValueError(f"devices={wanted} leave some of {processes} processes idle; give {there}, all, or 1")
+    if processes > 1 and wanted > 1 and not block.concrete:
+        raise ValueError(f"under jit, grad and vmap each of {processes} processes computes alone; give devices=1")
+    return wanted
 
 
 class _Run(NamedTuple):
@@ -206,7 +220,10 @@ def _step_by_step(run: _Run, keeper: Keeper | None) -> tuple[Arranged, Iteration
             if keeper is not None and (accepted or int(state.status) != solver.RUNNING):
                 keeper.keep(restored_unknowns(run.plan, unknowns), state)
     except KeyboardInterrupt:
+        if jax.process_count() > 1:
+            raise  # the others would wait for this one for ever
         interrupted = True
+    state = jax.tree.map(lambda x: on_device(on_host(x)), state)
     status = Status.INTERRUPTED if interrupted else _STATUS[int(state.status)]
     return unknowns, _iterations(state, on_device(int(status)))
 

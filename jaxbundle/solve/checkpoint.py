@@ -15,6 +15,7 @@ import numpy as np
 
 from jaxbundle.block.block import Block
 from jaxbundle.block.unknowns import Unknowns
+from jaxbundle.numerics.devices import equal_in_all_processes, from_first_process, is_first_process
 from jaxbundle.numerics.host import on_device
 
 
@@ -42,6 +43,15 @@ def fingerprint(block: Block, method: str) -> str:
     for array in arrays:
         mark.update(np.ascontiguousarray(array).tobytes())
     return mark.hexdigest()
+
+
+def require_same_block(block: Block, method: str) -> None:
+    """Raises a ValueError where the processes of a cluster do not adjust the same block by the same method."""
+    if jax.process_count() > 1 and not equal_in_all_processes(bytes.fromhex(fingerprint(block, method))):
+        raise ValueError(
+            f"the {jax.process_count()} processes adjust different blocks; give all of them the same files, read by the"
+            " same version of the program with the same options"
+        )
 
 
 def save(path: Path, mark: str, unknowns: Unknowns, state: Any) -> None:
@@ -82,12 +92,17 @@ class Keeper(NamedTuple):
     mark: str
 
     def resumed(self, unknowns: Unknowns, state: Any) -> tuple[Unknowns, Any]:
-        """The state to go on from; the one given, and kept from now on, where there is no file yet."""
-        if self.path.exists():
-            return load(self.path, self.mark, unknowns, state)
-        self.keep(unknowns, state)  # a place that cannot be written is told before the work
-        return unknowns, state
+        """The state to go on from; the one given, and kept from now on, where there is no file yet.
+
+        Of several processes the first one reads and writes the file.
+        """
+        if self.path.exists() and is_first_process():
+            unknowns, state = load(self.path, self.mark, unknowns, state)
+        else:
+            self.keep(unknowns, state)  # a place that cannot be written is told before the work
+        return from_first_process((unknowns, state))
 
     def keep(self, unknowns: Unknowns, state: Any) -> None:
         """Keeps the state."""
-        save(self.path, self.mark, unknowns, state)
+        if is_first_process():
+            save(self.path, self.mark, unknowns, state)

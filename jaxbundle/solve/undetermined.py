@@ -7,6 +7,7 @@ from jaxbundle.block.block import Structure
 from jaxbundle.normals.arrange import Arrangement
 from jaxbundle.normals.cofactors import Cofactors
 from jaxbundle.normals.reduced_system import ReducedSystem
+from jaxbundle.numerics.host import on_host
 
 WEAKEST_SHARE = 1e-11  # of its own normal equation: below, rounding decides about the unknown
 MOST_NAMED = 3000  # kept unknowns; beyond, only where the factorisation failed is told
@@ -22,7 +23,7 @@ def undetermined_unknowns(structure: Structure, arrangement: Arrangement, cofact
     """One sentence for each direction in which the unknowns can move without any observation noticing."""
     a = arrangement
     shares = np.ones(a.order.points)
-    shares[: a.places] = np.asarray(cofactors.point_pivots).ravel()
+    shares[: a.places] = on_host(cofactors.point_pivots).ravel()
     loose = np.nonzero(~(shares[a.order.point] > WEAKEST_SHARE))[0]
     sentences = [f"point {structure.point_names[p]}; {CURES['point']}" for p in loose]
     pivots = np.concatenate([np.asarray(cofactors.image_pivots).ravel(), np.asarray(cofactors.border_pivots)])

@@ -31,12 +31,11 @@ from jaxbundle.io import read_bal  # noqa: E402
 from jaxbundle.normals.arrange import Arranged, Problem, arrange, arranged_unknowns, problem  # noqa: E402
 from jaxbundle.normals.cofactors import cofactors  # noqa: E402
 from jaxbundle.normals.eliminate import eliminate  # noqa: E402
+from jaxbundle.normals.reduced_plan import Method  # noqa: E402
 from jaxbundle.normals.reduced_system import ReducedSystem, factorise, step  # noqa: E402
 from jaxbundle.normals.step import (  # noqa: E402
-    AXIS,
     Linearised,
     correction_of,
-    device_mesh,
     direction_of,
     linearise,
     local_tiles,
@@ -46,6 +45,7 @@ from jaxbundle.normals.step import (  # noqa: E402
     trial_step,
 )
 from jaxbundle.normals.substitute import image_values, substitute  # noqa: E402
+from jaxbundle.numerics.devices import AXIS, device_mesh  # noqa: E402
 from jaxbundle.solve.adjust import RAYS_FOR_DEVICES  # noqa: E402
 from jaxbundle.solve.search import DampedSearch  # noqa: E402
 
@@ -53,13 +53,13 @@ EVERYWHERE: Any = PartitionSpec()
 REPETITIONS, LONG = 9, 20.0  # turns, and seconds after which no further one begins
 
 
-def arranged(block: Block, direct: bool) -> tuple[Arranged, Problem, Array]:
+def arranged(block: Block, direct: bool, solver: Method = "auto") -> tuple[Arranged, Problem, Array]:
     """Start values, problem and first damping, as `adjust` lays them on the devices."""
     block = with_datum(block)
     centred = block.moved(-jnp.asarray(np.asarray(block.exterior.projection_centre).mean(0)))
     devices = jax.local_device_count() if len(block.structure.ray_image) >= RAYS_FOR_DEVICES else 1
     centres = np.asarray(block.exterior.projection_centre)
-    plan = arrange(block.structure, block.groups, centres, devices, "auto", direct)
+    plan = arrange(block.structure, block.groups, centres, devices, solver, direct)
     return placed(arranged_unknowns(plan, unknowns_of(centred)), problem(plan, centred), DampedSearch().first().damping)
 
 
