@@ -1,16 +1,15 @@
 import os
 from pathlib import Path
 
-# the suite is compilation: all programs are made quickly, as those of small blocks always are
-QUICKLY = "--xla_backend_optimization_level=0 --xla_cpu_use_fusion_emitters=false"
-os.environ["XLA_FLAGS"] = f"{os.environ.get('XLA_FLAGS', '')} {QUICKLY}"
-
 import jax
 import pytest
 
 from jaxbundle.numerics import programs
 from jaxbundle.numerics.compilation import Compiled
 
+# the suite is compilation: all programs are made quickly, as those of small blocks always are
+QUICKLY = "--xla_backend_optimization_level=0 --xla_cpu_use_fusion_emitters=false"
+os.environ["XLA_FLAGS"] = f"{os.environ.get('XLA_FLAGS', '')} {QUICKLY}"
 jax.config.update("jax_enable_x64", True)
 jax.config.update("jax_num_cpu_devices", 4)
 

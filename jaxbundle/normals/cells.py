@@ -5,7 +5,7 @@ last axis, which is long: on a CPU that is several times faster than stacking.
 """
 
 from functools import partial
-from typing import NamedTuple
+from typing import Any, NamedTuple
 
 import equinox as eqx
 import jax
@@ -20,10 +20,8 @@ from jaxbundle.normals.products import AbstractProducts
 from jaxbundle.numerics.host import is_concrete
 
 
-def to_cells(
-    values: Float[Array, " ray"], cell: Int[np.ndarray, "device chunk slot column"], rays: Int[np.ndarray, " of_part"]
-) -> Float[Array, "device chunk slot column"]:
-    """The numbers of the rays, 0 where there is none; `cell`: which of the part's `rays` a cell has, or -1."""
+def to_cells(values: Any, cell: Int[np.ndarray, "device chunk slot column"], rays: Int[np.ndarray, " of_part"]) -> Any:
+    """A number of every ray at its cell, 0 where there is none; `cell`: which of the part's `rays` it has, or -1."""
     if is_concrete(values):
         return np.append(values[rays], 0.0)[cell]
     return _to_cells(values, np.append(rays, len(values))[cell])

@@ -79,7 +79,7 @@ def _on_device(
         return lax.psum(x, axis) if axis else x
 
     def only_free(b: NormalVector) -> NormalVector:
-        return NormalVector(*(jnp.where(f, x, 0.0) for f, x in zip((*kept, free), b, strict=True)))
+        return jax.tree.map(lambda f, x: jnp.where(f, x, 0.0), NormalVector(kept.images, kept.border, free), b)
 
     def dot(a: NormalVector, b: NormalVector) -> Array:
         images = jnp.sum(a.images * b.images) + jnp.sum(a.border * b.border)
@@ -108,7 +108,8 @@ def _on_device(
         _, of_others = jax.jvp(jax.grad(cost), (zero,), (t,))
         if groups is not None:
             at_points = at_points + jnp.stack([jnp.sum(row * b.tiles, 0) for row in groups])
-        return only_free(NormalVector(*jax.tree.map(jnp.add, of_rays, of_others), at_points))
+        kept_part = jax.tree.map(jnp.add, of_rays, of_others)
+        return only_free(NormalVector(kept_part.images, kept_part.border, at_points))
 
     normals = factorised_normals(unknowns, linear, p, free, axis)
     found, left = conjugate_gradients(product, normals.solve, only_free(right), dot, TOLERANCE, MOST_ITERATIONS)
@@ -138,7 +139,7 @@ def _derivatives(
 
         def cost(numbers: list[Array], x: list[Array]) -> Array:
             v = image_equation(o.model, *split_values(numbers), (x[0], x[1], x[2]), chunk.measured)
-            return 0.5 * sum(jnp.sum((r * w) ** 2) for r, w in zip(v, chunk.weights, strict=True))
+            return 0.5 * (jnp.sum((v[0] * chunk.weights[0]) ** 2) + jnp.sum((v[1] * chunk.weights[1]) ** 2))
 
         derivatives = jax.grad(cost, (0, 1))
         (first, _), (of_images, of_points) = jax.jvp(derivatives, (old, list(point)), (direction, moved))

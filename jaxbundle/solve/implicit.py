@@ -95,7 +95,8 @@ def _held(x: Arranged, start: Arranged, p: Problem) -> Arranged:
 
 def _cost(d: NormalVector, x: Arranged, start: Arranged, p: Problem) -> Array:
     """F."""
-    return 0.5 * sum(jnp.sum(v * v) for v in weighted_residuals(moved(_held(x, start, p), p, d), p))
+    residuals = weighted_residuals(moved(_held(x, start, p), p, d), p)
+    return 0.5 * sum((jnp.sum(v * v) for v in residuals), jnp.zeros(()))
 
 
 @Compiled
