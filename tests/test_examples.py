@@ -52,3 +52,29 @@ def test_own_observation():
     assert with_lake < 0.7 * without
     level = re.search(r"level of the lake ([-+][\d.]+) m, sd ([\d.]+)", out)
     assert level and abs(float(level[1])) < 3 * float(level[2])
+
+
+def test_sensitivity_to_control():
+    out = printed(ROOT / "examples" / "05_sensitivity_to_control.py")
+    together = re.search(r"check points by ([\d.]+) to ([\d.]+) m", out)
+    assert together and [float(x) for x in together.groups()] == pytest.approx([1, 1], abs=1e-8)
+    told, done, off = map(float, re.findall(r"up to ([\d.]+) m", out))
+    assert off < 0.01 * min(told, done)
+
+
+def test_learned_distortion():
+    out = printed(ROOT / "examples" / "06_learned_distortion.py")
+    without, learned, true = (float(rms) for rms in re.findall(r"test points +([\d.]+) mm", out))
+    assert learned < 1.1 * true < 0.5 * without
+
+
+def test_tuned_weights():
+    out = printed(ROOT / "examples" / "07_tuned_weights.py")
+    said, tuned, true = (float(line.split()[-1]) for line in out.splitlines()[1:])
+    assert tuned < said and tuned < 1.1 * true
+
+
+def test_leave_one_out():
+    out = printed(ROOT / "examples" / "08_leave_one_out.py")
+    agreeing = re.search(r"(\d+)% of the rays agree within 5%", out)
+    assert agreeing and int(agreeing[1]) >= 95
