@@ -263,6 +263,10 @@ def test_folder_of_results(adjustment, tmp_path):
     assert np.allclose(images["sX0"], adjustment.standard_deviations.projection_centre[:, 0])
     control = pl.read_csv(folder / "control.csv")
     assert control["vX"].null_count() == 0 and control["vZ"].null_count() == len(control)
+    r, w = adjustment.redundancy_numbers[1][:, 0], adjustment.weighted_residuals[1][:, 0]
+    np.testing.assert_allclose(control["rX"], r, rtol=1e-12)
+    np.testing.assert_allclose(control["wX"], w / np.sqrt(r), rtol=1e-9)
+    assert control["rZ"].null_count() == len(control)
     report = json.loads((folder / "report.json").read_text())
     assert report.pop("files") == files.result_files(adjustment.block)
     assert report == json.loads(json.dumps(report_dict(adjustment)))

@@ -192,8 +192,8 @@ def test_text_fits_the_page_and_counts_parameters(adjustment) -> None:
 # Robust weights and free networks
 
 
-def robust(simple, weights: np.ndarray):
-    return dataclasses.replace(simple, reweighting=Reweighting("huber", 2.45, 7, jnp.asarray(weights)))
+def robust(simple, weights: np.ndarray, settled: bool = True):
+    return dataclasses.replace(simple, reweighting=Reweighting("huber", 2.45, 7, jnp.asarray(weights), settled))
 
 
 def test_robust_weights(simple, tmp_path) -> None:
@@ -225,6 +225,12 @@ def test_robust_weights_that_are_all_believed(simple) -> None:
     assert not any("robust weight" in sentence for sentence in words(low))
     assert report_dict(low)["robust"]["down_weighted"] == []
     assert "Robust" not in report_text(simple) and "robust" not in report_dict(simple)
+
+
+def test_robust_weights_that_did_not_settle(simple) -> None:
+    unsettled = robust(simple, np.ones(len(simple.block.structure.ray_image)), settled=False)
+    assert any(sentence.startswith("the robust weights were still changing after 7") for sentence in words(unsettled))
+    assert "7 rounds, which did not settle; 0 rays below 0.5" in unsettled.summary()
 
 
 def test_a_small_sigma0_of_robust_weights_says_nothing(simple) -> None:

@@ -7,6 +7,7 @@ import numpy as np
 import pytest
 
 from jaxbundle.planning.simulate import simulate
+from jaxbundle.solve import robust as solve_robust
 from jaxbundle.solve.adjust import adjust
 from jaxbundle.solve.robust import WEIGHT_FUNCTIONS, Huber, Tukey
 
@@ -59,9 +60,15 @@ def test_least_squares_is_never_robust_by_itself(spoilt):
 
 def test_clean_block_keeps_its_weights(clean):
     reweighting = adjust(clean, robust=Tukey(), precision=False).reweighting
-    assert reweighting is not None
+    assert reweighting is not None and reweighting.settled
     weights = np.asarray(reweighting.weights)
     assert (weights < 0.5).mean() < 0.05 and weights.mean() > 0.9
+
+
+def test_weights_that_do_not_settle_are_told(spoilt, monkeypatch):
+    monkeypatch.setattr(solve_robust, "MOST_ROUNDS", 2)
+    reweighting = adjust(spoilt[0], robust=Huber(), precision=False).reweighting
+    assert reweighting is not None and reweighting.rounds == 2 and not reweighting.settled
 
 
 def test_weights_cannot_be_traced_and_keep_no_checkpoint(clean, tmp_path):

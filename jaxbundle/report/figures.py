@@ -10,6 +10,7 @@ from jaxbundle.block.observations import CONTROL, ObservationGroup
 from jaxbundle.io.settings import RADIANS
 from jaxbundle.report.group_tables import GroupTable, group_tables
 from jaxbundle.solve.adjustment import DOWN_WEIGHTED, Adjustment
+from jaxbundle.statistics.reliability import reliability
 
 HIGH_CORRELATION = 0.95
 WITHOUT_ZERO = ("directions", "scale_bars", "planes", "lines")  # kinds whose parameters are not expected to be 0
@@ -121,6 +122,15 @@ class Figures:
         return pairs
 
 
+def _reliability(adjustment: Adjustment) -> tuple[tuple[np.ndarray, ...], tuple[np.ndarray, ...]]:
+    """Redundancy numbers and standardised residuals of the groups, NaN where there are none."""
+    if adjustment.redundancy_numbers is None:
+        nothing = tuple(np.full(v.shape, np.nan) for v in adjustment.residuals[1:])
+        return nothing, nothing
+    found = reliability(adjustment)
+    return found.redundancy_numbers[1:], found.w[1:]
+
+
 def figures_of(adjustment: Adjustment) -> Figures:
     """The numbers of a concrete adjustment."""
     block, structure = adjustment.block, adjustment.block.structure
@@ -147,7 +157,7 @@ def figures_of(adjustment: Adjustment) -> Figures:
         np.asarray(adjustment.check_differences),
         residuals,
         normalised,
-        group_tables(block, residuals[1:], normalised[1:]),
+        group_tables(block, residuals[1:], normalised[1:], *_reliability(adjustment)),
         np.bincount(structure.ray_point, minlength=len(structure.point_names)),
         np.bincount(structure.ray_image, minlength=len(structure.image_names)),
     )

@@ -207,6 +207,8 @@ def _group(table: GroupTable) -> Columns:
         **_columns(table.components, table.values),
         **_columns(table.components, table.sigmas, "s"),
         **_columns(table.components, table.residuals, "v"),
+        **({} if np.isnan(table.r).all() else _columns(table.components, table.r, "r")),
+        **({} if np.isnan(table.w).all() else _columns(table.components, table.w, "w")),
     }
 
 

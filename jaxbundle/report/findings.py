@@ -75,7 +75,7 @@ def findings_of(figures: Figures) -> list[Finding]:
     if status is not Status.CONVERGED:
         found.append(Finding("not converged", f"the adjustment {status.words}; {CURES[status]}"))
     found += [Finding("undetermined", f"not determined: {sentence}") for sentence in _undetermined(figures)]
-    suggestions = [*_outlying(figures), *_down_weighted(figures)]
+    suggestions = [*_outlying(figures), *_down_weighted(figures), *_unsettled(figures)]
     if status is Status.CONVERGED:
         suggestions = [
             *_sigma0(figures),
@@ -142,6 +142,17 @@ def _outlying(figures: Figures) -> list[str]:
 
 def _and_more(items: np.ndarray) -> str:
     return f" and {len(items) - NAMED} more" if len(items) > NAMED else ""
+
+
+def _unsettled(figures: Figures) -> list[str]:
+    """Robust weights that were still changing at the end."""
+    robust = figures.adjustment.reweighting
+    if robust is None or robust.settled:
+        return []
+    return [
+        f"the robust weights were still changing after {robust.rounds} rounds: take another weight function or a larger"
+        " limit"
+    ]
 
 
 def _down_weighted(figures: Figures) -> list[str]:

@@ -21,7 +21,8 @@ TAKEN = ("images", "cameras", "points", "rays", "check_points", "inner_orientati
 class GroupTable:
     """`who` names what each member touches, column by column. Values in the user's units, NaN where not observed.
 
-    `normalised`: v / sigma; of correlated components, v times the root of their weight matrix.
+    `normalised`: v / sigma; of correlated components, v times the root of their weight matrix. Redundancy numbers `r`
+    and standardised residuals `w`, NaN where none were computed.
     """
 
     name: str
@@ -32,6 +33,8 @@ class GroupTable:
     sigmas: Float[np.ndarray, "member component"]
     residuals: Float[np.ndarray, "member component"]
     normalised: Float[np.ndarray, "member component"]
+    r: Float[np.ndarray, "member component"]
+    w: Float[np.ndarray, "member component"]
 
     @property
     def title(self) -> str:
@@ -65,13 +68,11 @@ def _together(groups: Iterable[ObservationGroup]) -> dict[str, list[int]]:
     return tables
 
 
-def group_tables(
-    block: Block, residuals: tuple[np.ndarray, ...], normalised: tuple[np.ndarray, ...]
-) -> list[GroupTable]:
-    """A table for each kind of observation; residuals of all groups, as an adjustment has them behind the rays'."""
+def group_tables(block: Block, *numbers_of_groups: tuple[np.ndarray, ...]) -> list[GroupTable]:
+    """A table for each kind of observation; residuals, normalised ones, r and w of all groups, without the rays'."""
     tables = []
     for name, numbers in _together(block.groups).items():
-        parts = [_part(name, block, block.groups[k], residuals[k], normalised[k]) for k in numbers]
+        parts = [_part(name, block, block.groups[k], *(x[k] for x in numbers_of_groups)) for k in numbers]
         columns = dict.fromkeys(column for part in parts for column in part.who)
         empty = {column: [[""] * len(part.values) for part in parts] for column in columns}
         who = {
@@ -83,13 +84,11 @@ def group_tables(
     return tables
 
 
-NUMBERS = ("values", "sigmas", "residuals", "normalised")
+NUMBERS = ("values", "sigmas", "residuals", "normalised", "r", "w")
 
 
-def _part(
-    name: str, block: Block, group: ObservationGroup, residuals: np.ndarray, normalised: np.ndarray
-) -> GroupTable:
-    """The table of one group."""
+def _part(name: str, block: Block, group: ObservationGroup, residuals: np.ndarray, *others: np.ndarray) -> GroupTable:
+    """The table of one group; `others` have no unit."""
     kind, observed = group.structure.kind, group.structure.observed
     factor, units = _units(block.structure, group)
     values, sigmas, v = (
@@ -100,9 +99,10 @@ def _part(
         rows, elements = np.nonzero(observed)
         who = {key: [column[r] for r in rows] for key, column in who.items()}
         who["element"] = [components[k] for k in elements]
-        values, sigmas, v, normalised = (x[rows, elements][:, None] for x in (values, sigmas, v, normalised))
+        values, sigmas, v = (x[rows, elements][:, None] for x in (values, sigmas, v))
+        others = tuple(x[rows, elements][:, None] for x in others)
         components, units = ("value",), ("",)
-    return GroupTable(name, who, components, units, values, sigmas, v, normalised)
+    return GroupTable(name, who, components, units, values, sigmas, v, *others)
 
 
 def sigmas_of(group: ObservationGroup) -> Float[np.ndarray, "member component"]:

@@ -74,12 +74,16 @@ class StandardDeviations(NamedTuple):
 
 
 class Reweighting(eqx.Module):
-    """Robust weights of the rays, 1 for those that are believed in full; the weight function and its limit."""
+    """Robust weights of the rays, 1 for those that are believed in full; the weight function and its limit.
+
+    `settled`: the last round changed them no more.
+    """
 
     name: str = eqx.field(static=True)
     limit: float = eqx.field(static=True)
     rounds: int = eqx.field(static=True)
     weights: Float[Array, " ray"]
+    settled: bool = eqx.field(static=True, default=True)
 
 
 class Adjustment(eqx.Module):
@@ -176,7 +180,8 @@ class Adjustment(eqx.Module):
         assert robust is not None
         low = int((np.asarray(robust.weights) < DOWN_WEIGHTED).sum())
         return (
-            f"Robust weights: {robust.name}, limit {robust.limit:g}, {robust.rounds} rounds;"
+            f"Robust weights: {robust.name}, limit {robust.limit:g}, {robust.rounds} rounds"
+            f"{'' if robust.settled else ', which did not settle'};"
             f" {_counted(low, 'ray')} below {DOWN_WEIGHTED:g}"
         )
 

@@ -103,7 +103,7 @@ def adjust_robustly(block: Block, function: AbstractWeightFunction, solve: Solve
     if not block.concrete:
         raise ValueError("robust estimation chooses its weights outside of jit, grad and vmap")
     sigmas = np.asarray(block.rays.sigmas)
-    weights, rounds = np.ones(len(sigmas)), 0
+    weights, rounds, settled = np.ones(len(sigmas)), 0, False
     start = solve.quickly(block)
     first = Huber() if function.redescending else function
     for now in dict.fromkeys((first, function)):
@@ -117,7 +117,7 @@ def adjust_robustly(block: Block, function: AbstractWeightFunction, solve: Solve
             if settled:
                 break
     last = solve.fully(_weighted(start.block, sigmas, weights))
-    reweighting = Reweighting(function.name, function.limit, rounds, on_device(weights))
+    reweighting = Reweighting(function.name, function.limit, rounds, on_device(weights), bool(settled))
     restored = eqx.tree_at(lambda b: b.rays.sigmas, last.block, block.rays.sigmas)
     return eqx.tree_at(
         lambda a: (a.block, a.reweighting), last, (restored, reweighting), is_leaf=lambda leaf: leaf is None
