@@ -10,6 +10,7 @@ from scipy.linalg import expm, expm_frechet
 from scipy.spatial.transform import Rotation as ScipyRotation
 
 from jaxbundle.geometry import rotation as rot
+from jaxbundle.numerics.compilation import QUICKLY
 
 SYSTEMS = list(rot.ROTATION_SYSTEMS.values())
 OFFSETS = (0.0, 1e-12, 1e-9, 1e-7, 1e-4)
@@ -216,3 +217,16 @@ def test_matrices_from_angles_are_analytic(system):
     jacobian = jax.jit(jax.jacobian(lambda a: jnp.stack(system.rotation_from_angles(*a))))(angles)
     stepped = jnp.stack(system.rotation_from_angles(*(angles[:, None] + 1e-30j * jnp.eye(3))))
     np.testing.assert_allclose(stepped.imag / 1e-30, jacobian, atol=1e-15)
+
+
+def test_quaternions_where_elements_tie_are_the_same_compiled():
+    """A compiler that compared the same two numbers twice, rounded differently, mixed rows of opposite sign."""
+    turns = jnp.asarray(np.concatenate([turn * AXES for turn in (np.pi / 2, 2 * np.pi / 3, np.pi)]))
+
+    def there_and_back(vector):
+        rotation = rot.from_rotation_vector(*vector)
+        return jnp.stack(rotation), jnp.stack(rot.from_quaternion(*rot.to_quaternion(rotation)))
+
+    for options in ({}, QUICKLY):
+        given, again = jax.jit(jax.vmap(there_and_back), compiler_options=options)(turns)
+        np.testing.assert_allclose(again, given, atol=1e-14)

@@ -154,7 +154,8 @@ def angles_near(matrix: Rotation, reference: Float[Array, "3 image"], system: Ro
         turns = [jnp.round((r - a) / (2 * jnp.pi)) for a, r in zip(angles, reference, strict=True)]
         solutions.append(tuple(a + 2 * jnp.pi * jax.lax.stop_gradient(k) for a, k in zip(angles, turns, strict=True)))
     one, two = (sum(jnp.abs(a - r) for a, r in zip(angles, reference, strict=True)) for angles in solutions)
-    x, y, z = (jnp.where(one <= two, a, b) for a, b in zip(*solutions, strict=True))
+    nearest = jnp.argmin(jnp.stack([one, two]), 0)  # once for all three: see `rotation.to_quaternion`
+    x, y, z = (jnp.where(nearest == 0, a, b) for a, b in zip(*solutions, strict=True))
     return x, y, z
 
 

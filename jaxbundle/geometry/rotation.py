@@ -161,13 +161,16 @@ def to_quaternion(rotation: Rotation) -> tuple[Scalar, Scalar, Scalar, Scalar]:
         (a3 - c1, a2 + b1, squares[2], b3 + c2),
         (b1 - a2, a3 + c1, b3 + c2, squares[3]),
     )
-    quaternion, largest = rows[3], squares[3]
-    for row, square in zip(rows[2::-1], squares[2::-1], strict=True):
-        larger = square >= largest  # chosen together: where two are equal, a maximum would have the mean of derivatives
-        quaternion = tuple(jnp.where(larger, new, old) for new, old in zip(row, quaternion, strict=True))
-        largest = jnp.where(larger, square, largest)
+    # by one number, a reduction that is computed once: comparisons that a compiler repeats are rounded differently, and
+    # where two squares are equal rows of opposite sign would be mixed; and a maximum would mix their derivatives
+    largest = jnp.argmax(jnp.stack(jnp.broadcast_arrays(*squares)), 0)
+
+    def chosen(k0: Scalar, k1: Scalar, k2: Scalar, k3: Scalar) -> Scalar:
+        return jnp.where(largest == 0, k0, jnp.where(largest == 1, k1, jnp.where(largest == 2, k2, k3)))
+
+    quaternion = [chosen(*column) for column in zip(*rows, strict=True)]
     sign = jnp.where(quaternion[0] < 0, -1.0, 1.0)
-    scale = sign / (2 * jnp.sqrt(largest))
+    scale = sign / (2 * jnp.sqrt(chosen(*squares)))
     q0, qx, qy, qz = (scale * q for q in quaternion)
     return q0, qx, qy, qz
 
