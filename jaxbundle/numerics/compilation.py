@@ -13,7 +13,7 @@ from jaxbundle.numerics import programs
 from jaxbundle.numerics.devices import meet
 from jaxbundle.numerics.host import is_concrete
 
-RAYS_FOR_OPTIMISATION = 20_000  # below, an adjustment takes less time than optimising its program
+RAYS_FOR_OPTIMISATION = 10_000  # below, an adjustment takes less time than optimising its program
 QUICKLY = {"xla_backend_optimization_level": 0, "xla_cpu_use_fusion_emitters": False}
 
 
