@@ -7,7 +7,6 @@ from jaxtyping import Array, Float
 
 from jaxbundle.block.block import Structure
 from jaxbundle.normals.arrange import Arrangement
-from jaxbundle.numerics.host import on_device
 
 
 class NormalVector(NamedTuple):
@@ -26,7 +25,7 @@ def arranged_vectors(
     parameters: Float[np.ndarray, "vector parameter"],
     object_points: Float[np.ndarray, "vector point 3"],
 ) -> NormalVector:
-    """Vectors by the elements of the block, angles those of the corrections; what is held in the block becomes 0."""
+    """Host vectors by the elements of the block, angles those of the corrections; what is held there becomes 0."""
     o, shape, count = plan.order, plan.shape, len(exterior)
     interior = interior * structure.interior_free[:, list(structure.interior_columns)]
     images, border = np.zeros((count, o.images, shape.image)), np.zeros((count, shape.border))
@@ -41,4 +40,4 @@ def arranged_vectors(
     points[:, :, o.point] = (object_points * structure.point_free).transpose(0, 2, 1)
     border[:, shape.first_kept_point :] = points[:, :, plan.places :].transpose(0, 2, 1).reshape(count, -1)
     tiles = points[:, :, : plan.places].reshape(count, 3, -1, shape.width)
-    return NormalVector(on_device(images), on_device(border), on_device(tiles))
+    return NormalVector(images, border, tiles)

@@ -92,7 +92,7 @@ def _arranged_rows(plan: Arrangement, block: Block, derivatives: Any) -> NormalV
     by_angles = np.einsum("fia,abi->fib", np.asarray(derivatives.exterior.angles), turned)
     by_centre = np.asarray(derivatives.exterior.projection_centre)
     by_interior = np.asarray(derivatives.interior.elements)[:, :, list(structure.interior_columns)]
-    return arranged_vectors(
+    rows = arranged_vectors(
         plan,
         structure,
         np.concatenate([by_centre, by_angles], 2),
@@ -100,6 +100,7 @@ def _arranged_rows(plan: Arrangement, block: Block, derivatives: Any) -> NormalV
         np.asarray(derivatives.parameters),
         np.asarray(derivatives.object_points),
     )
+    return jax.tree.map(on_device, rows)
 
 
 def error_ellipsoids(adjustment: Adjustment) -> Ellipsoids:
