@@ -15,6 +15,8 @@ import importlib
 from typing import TYPE_CHECKING, Any
 
 if TYPE_CHECKING:
+    from jaxbundle.approximate.intersection import intersect
+    from jaxbundle.approximate.resection import Resection, resection
     from jaxbundle.block.block import (
         Block,
         Camera,
@@ -74,6 +76,8 @@ if TYPE_CHECKING:
     from jaxbundle.textbook import crosscheck
 
 _MODULES = {
+    "approximate.intersection": ("intersect",),
+    "approximate.resection": ("Resection", "resection"),
     "block.block": (
         "Block",
         "Camera",
@@ -169,6 +173,7 @@ __all__ = [
     "Progress",
     "Rays",
     "Reliability",
+    "Resection",
     "Simulation",
     "Snooping",
     "Status",
@@ -194,6 +199,7 @@ __all__ = [
     "influence",
     "inner_orientation",
     "interior_priors",
+    "intersect",
     "observation_group",
     "observations_of_kind",
     "parallax_rule",
@@ -204,6 +210,7 @@ __all__ = [
     "reliability",
     "report_dict",
     "report_text",
+    "resection",
     "simulate",
     "snoop",
     "three_groups",
