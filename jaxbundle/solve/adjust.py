@@ -83,11 +83,7 @@ def adjust(
     Raises: BlockError with all problems of the block; CheckpointError for a checkpoint of another block; ValueError for
     an unknown name or without float64.
     """
-    require_float64()
-    if method not in METHODS or engine not in ENGINES:
-        raise ValueError(f"no method {method!r} with engine {engine!r}; there are {list(METHODS)} and {list(ENGINES)}")
-    if precision and reduced == "pcg":
-        raise ValueError("conjugate gradients give no standard deviations: call adjust(..., precision=False)")
+    require_options(method, engine, precision, reduced)
     if block.concrete:
         require_valid(block)
     wanted = _Wanted(method, stop or AngleRule(), max_iterations, engine, reduced, devices, progress)
@@ -99,6 +95,15 @@ def adjust(
         lambda b: _least_squares(b, wanted, False, None), lambda b: _least_squares(b, wanted, precision, None)
     )
     return adjust_robustly(block, robust, solve)
+
+
+def require_options(method: str, engine: str, precision: bool, reduced: Method) -> None:
+    """Raises ValueError for options that no block can be adjusted with."""
+    require_float64()
+    if method not in METHODS or engine not in ENGINES:
+        raise ValueError(f"no method {method!r} with engine {engine!r}; there are {list(METHODS)} and {list(ENGINES)}")
+    if precision and reduced == "pcg":
+        raise ValueError("conjugate gradients give no standard deviations: call adjust(..., precision=False)")
 
 
 class _Wanted(NamedTuple):
