@@ -55,6 +55,7 @@ if TYPE_CHECKING:
     from jaxbundle.report import report_dict, report_text, write_report
     from jaxbundle.solve.adjust import Progress, adjust
     from jaxbundle.solve.adjustment import Adjustment, Status
+    from jaxbundle.solve.batch import Batch, Outcome, adjust_many
     from jaxbundle.solve.robust import Cauchy, Danish, Huber, Tukey
     from jaxbundle.solve.stopping import AngleRule, PointRule, parallax_rule, unknown_rule
     from jaxbundle.statistics.components import VarianceComponents, variance_components
@@ -116,6 +117,7 @@ _MODULES = {
     "report": ("report_dict", "report_text", "write_report"),
     "solve.adjust": ("Progress", "adjust"),
     "solve.adjustment": ("Adjustment", "Status"),
+    "solve.batch": ("Batch", "Outcome", "adjust_many"),
     "solve.robust": ("Cauchy", "Danish", "Huber", "Tukey"),
     "solve.stopping": ("AngleRule", "PointRule", "parallax_rule", "unknown_rule"),
     "statistics.components": ("VarianceComponents", "variance_components"),
@@ -151,6 +153,7 @@ __all__ = [
     "Adjustment",
     "AerialCamera",
     "AngleRule",
+    "Batch",
     "Block",
     "BlockError",
     "Camera",
@@ -167,6 +170,7 @@ __all__ = [
     "InteriorOrientation",
     "ObservationGroup",
     "ObservationKind",
+    "Outcome",
     "Parameter",
     "PointRule",
     "Problem",
@@ -182,6 +186,7 @@ __all__ = [
     "Tukey",
     "VarianceComponents",
     "adjust",
+    "adjust_many",
     "all_control",
     "camera_rays",
     "collinearity",
