@@ -10,10 +10,10 @@ from jaxbundle.numerics import programs
 MOST_DEVICES = 8  # each holds the reduced normal equations in full
 
 
-def start() -> None:
-    """To be called before anything is computed."""
+def start(processes: int = 1) -> None:
+    """To be called before anything is computed, in each of the processes that share the cores."""
     jax.config.update("jax_enable_x64", True)
-    jax.config.update("jax_num_cpu_devices", min(_cores(), MOST_DEVICES))
+    jax.config.update("jax_num_cpu_devices", max(1, min(_cores() // processes, MOST_DEVICES)))
     jax.config.update("jax_compilation_cache_dir", str(cache_folder()))
     programs.keep_in(cache_folder() / "programs")
     jax.config.update("jax_persistent_cache_min_compile_time_secs", 0.0)
