@@ -3,10 +3,13 @@
 import dataclasses
 
 import equinox as eqx
+import jax
 import jax.numpy as jnp
+import numpy as np
 import pytest
 
 from jaxbundle.block.block import Block
+from jaxbundle.block.datum import with_datum
 from jaxbundle.block.problems import BlockError
 from jaxbundle.planning.simulate import simulate
 from jaxbundle.solve import batch as module
@@ -106,6 +109,22 @@ def test_wrong_options_are_told_before_the_first_block():
         adjust_many(never(), method="newton")
     with pytest.raises(ValueError, match="conjugate gradients give no standard deviations"):
         adjust_many(never(), reduced="pcg")
+
+
+def test_observations_of_one_block_go_through_vmap(blocks):
+    """Also in two directions."""
+    block = with_datum(blocks["one"])
+    shifts = jnp.asarray(np.random.default_rng(0).normal(0, 0.005, (2, 2, *block.rays.coordinates.shape)))
+
+    def one(shift):
+        drawn = eqx.tree_at(lambda b: b.rays.coordinates, block, block.rays.coordinates + shift)
+        found = adjust(drawn, precision=False)
+        return found.block.object_points, found.sigma0, found.iterations.trials
+
+    points, sigma0, trials = jax.jit(jax.vmap(jax.vmap(one)))(shifts.at[0, 0].set(0.0))
+    for k, expected in (((0, 0), one(0.0 * shifts[0, 0])), ((1, 1), one(shifts[1, 1]))):
+        np.testing.assert_allclose(points[k], expected[0], rtol=1e-9, atol=1e-8)
+        assert sigma0[k] == pytest.approx(float(expected[1]), rel=1e-9) and trials[k] == expected[2]
 
 
 def test_no_block():

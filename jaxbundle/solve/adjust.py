@@ -9,6 +9,7 @@ from typing import NamedTuple
 import jax
 import jax.numpy as jnp
 import numpy as np
+from jax.custom_batching import sequential_vmap
 from jaxtyping import Array
 
 from jaxbundle.block.block import Block
@@ -167,12 +168,17 @@ class _Run(NamedTuple):
 
 
 def _in_one(run: _Run) -> tuple[Arranged, Iterations]:
-    """All steps in one program, as tracing needs it."""
+    """All steps in one program, as tracing needs it; under vmap one block after the other.
+
+    Measured: a block's arrays are long enough by themselves, those of many blocks together leave the processor's cache.
+    """
     bundle = BundleSolver(METHODS[run.method]())
-    unknowns = arranged_unknowns(run.plan, unknowns_of(run.block))
-    unknowns, state = solver.run(
-        bundle, unknowns, run.args, bundle.first(), run.max_iterations, optimised=run.optimised
-    )
+
+    @sequential_vmap
+    def solved(unknowns: Arranged, args: Arguments) -> tuple[Arranged, State]:
+        return solver.run(bundle, unknowns, args, bundle.first(), run.max_iterations, optimised=run.optimised)
+
+    unknowns, state = solved(arranged_unknowns(run.plan, unknowns_of(run.block)), run.args)
     codes = jnp.array([_STATUS[k] for k in range(len(_STATUS))])
     return unknowns, _iterations(state, codes[state.status])
 
