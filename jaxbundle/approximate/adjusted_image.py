@@ -32,7 +32,7 @@ from jaxbundle.camera.collinearity import Vector
 from jaxbundle.camera.model import CameraModel, ImagePoint
 from jaxbundle.geometry.rotation import Angles, RotationSystem, Scalar
 
-IMAGES_AT_ONCE = 1024  # measured: more leave the processor's cache, less are slowed down by the number of operations
+IMAGES_AT_ONCE = 512  # measured: 1024 take as long, more leave the processor's cache
 LINE = 8  # numbers in a line of the cache
 UNITS = np.eye(UNKNOWNS)
 Symmetric = tuple[tuple[Scalar, ...], ...]

@@ -35,6 +35,8 @@ LIMIT = 1e-8  # |J d| / |v| of the last step, as AngleRule's
 FIRST_DAMPING, LEAST_DAMPING, LARGEST_DAMPING = 1e-4, 1e-6, 1e16  # below the least, none
 ROUNDING = 4 * float(np.finfo(float).eps)
 RUNNING = -1
+MOST_TOGETHER = 6  # steps after which most images have ended
+FEW = 8  # what goes on then is one of so many
 
 
 class Measured(NamedTuple):
@@ -161,18 +163,28 @@ def _next_step(model: CameraModel, m: Measured, noise: Array, s: State) -> State
 
 
 def solved(model: CameraModel, m: Measured, start: Orientation, most: int) -> Solution:
-    """At most `most` steps from a start."""
+    """At most `most` steps from a start; of many images the few that take long go on by themselves."""
     noise = 0.5 * ROUNDING**2 * jnp.sum((m.coordinates * m.weights) ** 2, (0, 1))
     zero, none = jnp.zeros(noise.shape), jnp.zeros(noise.shape, int)
     start = jax.tree.map(lambda x: jnp.broadcast_to(x, noise.shape), start)
     nothing = Equations([zero] * place(UNKNOWNS, 0), [zero] * UNKNOWNS, zero)
     first = State(start, nothing, start, zero, none + RUNNING, none)
-    last = lax.while_loop(
-        lambda s: jnp.any((s.status == RUNNING) & (s.trials < most)), partial(_next_step, model, m, noise), first
-    )
+
+    def steps(m: Measured, noise: Array, state: State, most: int) -> State:
+        def going(s: State) -> Array:
+            return jnp.any((s.status == RUNNING) & (s.trials < most))
+
+        return lax.while_loop(going, partial(_next_step, model, m, noise), state)
+
+    last = steps(m, noise, first, min(MOST_TOGETHER, most))
+    if noise.ndim and noise.shape[0] > FEW:
+        few = jnp.argsort(last.status != RUNNING)[: noise.shape[0] // FEW]
+        m_few, noise_few, last_few = jax.tree.map(lambda x: x[..., few], (m, noise, last))
+        last = jax.tree.map(lambda x, y: x.at[..., few].set(y), last, steps(m_few, noise_few, last_few, most))
+    last = steps(m, noise, last, most)
+    status = jnp.where(last.status == RUNNING, int(Status.MAXIMUM_ITERATIONS), last.status)
     at, (x, y, z) = last.trial, m.points  # the last step, too short to be tried, is taken as well
     depth = photo_vector(at.rotation, at.centre, (x, y, z))[2]
     behind = jnp.any((depth >= 0) & (m.weights[0] > 0), 0)
-    status = jnp.where(last.status == RUNNING, int(Status.MAXIMUM_ITERATIONS), last.status)
     status = jnp.where((status == Status.CONVERGED) & behind, int(Status.DIVERGED), status)
     return Solution(at, last.equations, status, last.trials)
