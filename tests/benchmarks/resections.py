@@ -23,7 +23,7 @@ import jaxbundle as jb  # noqa: E402
 from jaxbundle.geometry.rotation import from_omega_phi_kappa  # noqa: E402
 
 PRINCIPAL_DISTANCE, HEIGHT, NOISE = 5000.0, 1500.0, 0.5  # px, m, px
-ROUNDS = 5
+ROUNDS = 9
 
 
 def scene(images: int, points: int) -> tuple[np.ndarray, np.ndarray]:
