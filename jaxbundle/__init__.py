@@ -15,6 +15,8 @@ import importlib
 from typing import TYPE_CHECKING, Any
 
 if TYPE_CHECKING:
+    from jaxbundle.approximate.intersection import intersect
+    from jaxbundle.approximate.resection import Resection, resection
     from jaxbundle.block.block import (
         Block,
         Camera,
@@ -53,6 +55,7 @@ if TYPE_CHECKING:
     from jaxbundle.report import report_dict, report_text, write_report
     from jaxbundle.solve.adjust import Progress, adjust
     from jaxbundle.solve.adjustment import Adjustment, Status
+    from jaxbundle.solve.batch import Batch, Outcome, adjust_many
     from jaxbundle.solve.robust import Cauchy, Danish, Huber, Tukey
     from jaxbundle.solve.stopping import AngleRule, PointRule, parallax_rule, unknown_rule
     from jaxbundle.statistics.components import VarianceComponents, variance_components
@@ -74,6 +77,8 @@ if TYPE_CHECKING:
     from jaxbundle.textbook import crosscheck
 
 _MODULES = {
+    "approximate.intersection": ("intersect",),
+    "approximate.resection": ("Resection", "resection"),
     "block.block": (
         "Block",
         "Camera",
@@ -112,6 +117,7 @@ _MODULES = {
     "report": ("report_dict", "report_text", "write_report"),
     "solve.adjust": ("Progress", "adjust"),
     "solve.adjustment": ("Adjustment", "Status"),
+    "solve.batch": ("Batch", "Outcome", "adjust_many"),
     "solve.robust": ("Cauchy", "Danish", "Huber", "Tukey"),
     "solve.stopping": ("AngleRule", "PointRule", "parallax_rule", "unknown_rule"),
     "statistics.components": ("VarianceComponents", "variance_components"),
@@ -147,6 +153,7 @@ __all__ = [
     "Adjustment",
     "AerialCamera",
     "AngleRule",
+    "Batch",
     "Block",
     "BlockError",
     "Camera",
@@ -163,12 +170,14 @@ __all__ = [
     "InteriorOrientation",
     "ObservationGroup",
     "ObservationKind",
+    "Outcome",
     "Parameter",
     "PointRule",
     "Problem",
     "Progress",
     "Rays",
     "Reliability",
+    "Resection",
     "Simulation",
     "Snooping",
     "Status",
@@ -177,6 +186,7 @@ __all__ = [
     "Tukey",
     "VarianceComponents",
     "adjust",
+    "adjust_many",
     "all_control",
     "camera_rays",
     "collinearity",
@@ -194,6 +204,7 @@ __all__ = [
     "influence",
     "inner_orientation",
     "interior_priors",
+    "intersect",
     "observation_group",
     "observations_of_kind",
     "parallax_rule",
@@ -204,6 +215,7 @@ __all__ = [
     "reliability",
     "report_dict",
     "report_text",
+    "resection",
     "simulate",
     "snoop",
     "three_groups",

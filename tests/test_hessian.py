@@ -16,6 +16,7 @@ from jaxbundle.normals.hessian import solve_hessian
 from jaxbundle.normals.step import weighted_residuals
 from jaxbundle.normals.vector import NormalVector, arranged_vectors
 from jaxbundle.numerics.compilation import QUICKLY
+from jaxbundle.numerics.host import on_device
 from jaxbundle.solve.adjust import adjust
 from jaxbundle.solve.implicit import moved, zero_vector
 

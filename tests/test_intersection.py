@@ -2,10 +2,12 @@ import dataclasses
 from pathlib import Path
 
 import equinox as eqx
+import jax
 import jax.numpy as jnp
 import numpy as np
 import pytest
 from folders import make_small_folder, object_points
+from jaxtyping import Array
 
 from jaxbundle.approximate.intersection import intersect
 from jaxbundle.block.block import Block
@@ -127,6 +129,26 @@ def test_given_coordinates_are_kept(small: Block) -> None:
     np.testing.assert_array_equal(points[8, 1:], given[8, 1:])
     np.testing.assert_allclose(points[8, 0], object_points()[8, 0], atol=1e-9)
     np.testing.assert_array_equal(points[:8], small.object_points[:8])
+
+
+def test_goes_through_vmap(small: Block) -> None:
+    """Points of images whose orientations and observations vary; two images are enough."""
+    keep = np.flatnonzero(small.structure.ray_image < 2)
+    structure = dataclasses.replace(
+        small.structure, ray_image=small.structure.ray_image[keep], ray_point=small.structure.ray_point[keep]
+    )
+    pair = without_points(with_rays(dataclasses.replace(small, structure=structure), small.rays.coordinates[keep]))
+
+    def points(shift: Array, noise: Array) -> Array:
+        centres = pair.exterior.projection_centre.at[1].add(shift)
+        block = eqx.tree_at(lambda b: b.exterior.projection_centre, pair, centres)
+        return intersect(with_rays(block, block.rays.coordinates + noise)).object_points
+
+    shifts = jnp.array([[0.0, 0.0, 0.0], [0.1, -0.2, 0.3], [1.0, 0.0, 0.0]])
+    noise = jnp.asarray(np.random.default_rng(0).normal(0, 0.5, (3, len(keep), 2)))
+    together = jax.jit(jax.vmap(points))(shifts, noise)
+    for k in range(3):
+        np.testing.assert_allclose(together[k], points(shifts[k], noise[k]), rtol=1e-9, atol=1e-9)
 
 
 def test_start_of_roma(shared_data: Path) -> None:

@@ -7,86 +7,80 @@ The point closest to its rays, all rays of the same weight: with projection cent
 (Kraus 2007, ch. 4.1 intersects so in two images; the sum is its least-squares form for any number of rays.)
 """
 
+from typing import Any
+
 import equinox as eqx
-import jax
 import jax.numpy as jnp
 import numpy as np
 from jaxtyping import Array, Float, Int
 
 from jaxbundle.block.block import Block
 from jaxbundle.block.unknowns import unknowns_of
-from jaxbundle.camera.model import ImagePoint
+from jaxbundle.camera.direction import direction
 from jaxbundle.geometry import rotation
-from jaxbundle.numerics.host import on_device
+from jaxbundle.numerics.host import array_module, is_concrete, on_device, on_host
 
-NEWTON_STEPS = 10  # a correction of the measurement needs one, a strong distortion of the projection about six
 PARALLEL = 1e-12  # squared sine of the angle between two rays: below, it is rounding that makes them meet
 
 
 def intersect(block: Block) -> Block:
     """The block with coordinates for every object point that has none, from its rays.
 
-    A coordinate that is given is kept. Points whose rays are parallel, or that have one ray only, stay NaN.
+    A coordinate that is given is kept. Points whose rays are parallel, or that have one ray only, stay NaN. jit and
+    vmap go through it.
     """
-    points = np.asarray(block.object_points)
-    missing = np.isnan(points)
-    rays = np.flatnonzero(np.any(missing, axis=1)[block.structure.ray_point])
+    xp, points, ray_point = array_module(block), on_host(block.object_points), block.structure.ray_point
+    missing = xp.isnan(points)
+    rays = np.flatnonzero(missing.any(1)[ray_point]) if block.concrete else np.arange(len(ray_point))
     if not len(rays):
         return block
     image = block.structure.ray_image[rays]
-    directions = np.asarray(_directions(block, on_device(rays), on_device(image)))
-    centres = np.asarray(block.exterior.projection_centre).T[:, image]
-    closest = _closest_to_rays(directions, centres, block.structure.ray_point[rays], len(points))
-    return eqx.tree_at(lambda b: b.object_points, block, on_device(np.where(missing, closest.T, points)))
+    directions = on_host(_directions(block, on_device(rays), on_device(image)))
+    centres = on_host(block.exterior.projection_centre).T[:, image]
+    closest = _closest_to_rays(directions, centres, ray_point[rays], len(points))
+    return eqx.tree_at(lambda b: b.object_points, block, on_device(xp.where(missing, closest.T, points)))
 
 
 @eqx.filter_jit
 def _directions(block: Block, rays: Int[Array, " ray"], image: Int[Array, " ray"]) -> Float[Array, "3 ray"]:
-    """Unit vectors in the object system along the rays.
-
-    The photo vector (a, b, -1) is the one whose residual vanishes, by Newton's method: any camera model has an inverse.
-    """
+    """Unit vectors in the object system along the rays."""
     structure, unknowns = block.structure, unknowns_of(block)
     interior = tuple(unknowns.interior[:, jnp.asarray(structure.image_camera)[image]])
-    measured = tuple(block.rays.coordinates[rays].T)
-    one, zero = jnp.ones_like(measured[0]), jnp.zeros_like(measured[0])
-
-    def residual(a: Array, b: Array) -> ImagePoint:
-        return structure.model.residual(interior, (a, b, -one), measured)
-
-    def step(_: Int[Array, ""], vector: tuple[Array, Array]) -> tuple[Array, Array]:
-        (vx, vy), (xa, ya) = jax.jvp(residual, vector, (one, zero))
-        _, (xb, yb) = jax.jvp(residual, vector, (zero, one))
-        determinant = xa * yb - xb * ya
-        return vector[0] - (yb * vx - xb * vy) / determinant, vector[1] - (xa * vy - ya * vx) / determinant
-
-    a, b = jax.lax.fori_loop(0, NEWTON_STEPS, step, (zero, zero))
-    length = jnp.sqrt(a * a + b * b + 1)
-    return jnp.stack(rotation.apply(tuple(unknowns.rotation[:, image]), (a / length, b / length, -1 / length)))
+    x, y = block.rays.coordinates[rays].T
+    along = direction(structure.model, interior, (x, y))
+    return jnp.stack(rotation.apply(tuple(unknowns.rotation[:, image]), along))
 
 
 def _closest_to_rays(
-    directions: Float[np.ndarray, "3 ray"],
-    centres: Float[np.ndarray, "3 ray"],
+    directions: Float[Array | np.ndarray, "3 ray"],
+    centres: Float[Array | np.ndarray, "3 ray"],
     ray_point: Int[np.ndarray, " ray"],
     points: int,
-) -> Float[np.ndarray, "3 point"]:
+) -> Float[Array | np.ndarray, "3 point"]:
     """Solutions of the normal equations point by point, by cofactors; NaN where they are singular."""
+    xp = array_module((directions, centres))
     origin = centres.mean(1, keepdims=True)  # large coordinates lose digits
     x, y, z = directions
-    across = np.stack([1 - x * x, -x * y, -x * z, 1 - y * y, -y * z, 1 - z * z])
+    across = xp.stack([1 - x * x, -x * y, -x * z, 1 - y * y, -y * z, 1 - z * z])
     xx, xy, xz, yy, yz, zz = across
     u, v, w = centres - origin
-    right = np.stack([xx * u + xy * v + xz * w, xy * u + yy * v + yz * w, xz * u + yz * v + zz * w])
-    sums = np.stack([np.bincount(ray_point, row, points) for row in (*across, *right)])
+    right = xp.stack([xx * u + xy * v + xz * w, xy * u + yy * v + yz * w, xz * u + yz * v + zz * w])
+    sums = xp.stack([_summed(row, ray_point, points) for row in (*across, *right)])
     xx, xy, xz, yy, yz, zz, u, v, w = sums
     c_xx, c_xy, c_xz = yy * zz - yz * yz, xz * yz - xy * zz, xy * yz - xz * yy
     c_yy, c_yz, c_zz = xx * zz - xz * xz, xy * xz - xx * yz, xx * yy - xy * xy
     determinant = xx * c_xx + xy * c_xy + xz * c_xz
     rays = np.bincount(ray_point, minlength=points)
     parallel = determinant <= PARALLEL * np.maximum(rays, 1) ** 3
-    scale = 1 / np.where(parallel, np.nan, determinant)
-    solution = np.stack(
+    scale = 1 / xp.where(parallel, np.nan, determinant)
+    solution = xp.stack(
         [c_xx * u + c_xy * v + c_xz * w, c_xy * u + c_yy * v + c_yz * w, c_xz * u + c_yz * v + c_zz * w]
     )
     return solution * scale + origin
+
+
+def _summed(row: Any, ray_point: Int[np.ndarray, " ray"], points: int) -> Any:
+    """Sums over the rays of every point."""
+    if is_concrete(row):
+        return np.bincount(ray_point, row, points)
+    return jnp.zeros(points).at[ray_point].add(row)

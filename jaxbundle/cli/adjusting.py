@@ -36,40 +36,45 @@ class Wanted(NamedTuple):
     reduced: Method
     checkpoint: Path | None
     robust: AbstractWeightFunction | None
+    hold_interior: bool
+    precision: bool
 
 
-def run(path: Path, out: Path | None, wanted: Wanted, hold_interior: bool, precision: bool) -> int:
+def run(path: Path, out: Path | None, wanted: Wanted) -> int:
     """Adjusts, writes and prints; the exit code. Of several processes the first one writes and prints."""
-    first = is_first_process()
-    lines = ProgressLines(quiet=not first)
-    with lines.phase("reading ..."):
-        block = read(path)
-    block = with_interior_held(block) if hold_interior else block
-    rule = stopping_rule(block, wanted)
-    folder = out or Path(f"{path.resolve().stem}-adjusted")
+    folder, first = out or Path(f"{path.resolve().stem}-adjusted"), is_first_process()
+    adjustment = adjust_path(path, folder, wanted, ProgressLines(quiet=not first), first)
     if first:
-        require_place(folder, block, wanted.robust is not None)  # before the work, not after it
-    with lines.phase("adjusting"):
-        adjustment = _adjusted(block, wanted, rule, precision, lines)
-    if first:
-        with lines.phase("writing"):
-            write_report(adjustment, folder)
         echo_result(adjustment)
         typer.echo(f"Results: {folder}")
     finished()
     return 0 if adjustment.trustworthy else 1
 
 
-def _adjusted(
-    block: Block, wanted: Wanted, rule: AbstractStoppingRule, precision: bool, lines: ProgressLines
-) -> Adjustment:
+def adjust_path(path: Path, folder: Path, wanted: Wanted, lines: ProgressLines, writes: bool = True) -> Adjustment:
+    """Reads, adjusts and, if this process `writes`, writes."""
+    with lines.phase("reading ..."):
+        block = read(path)
+    block = with_interior_held(block) if wanted.hold_interior else block
+    rule = stopping_rule(block, wanted)
+    if writes:
+        require_place(folder, block, wanted.robust is not None)  # before the work, not after it
+    with lines.phase("adjusting"):
+        adjustment = _adjusted(block, wanted, rule, lines)
+    if writes:
+        with lines.phase("writing"):
+            write_report(adjustment, folder)
+    return adjustment
+
+
+def _adjusted(block: Block, wanted: Wanted, rule: AbstractStoppingRule, lines: ProgressLines) -> Adjustment:
     try:
         return adjust(
             block,
             method=wanted.method,
             stop=rule,
             max_iterations=wanted.max_iterations,
-            precision=precision,
+            precision=wanted.precision,
             engine=wanted.engine,
             reduced=wanted.reduced,
             checkpoint=wanted.checkpoint,

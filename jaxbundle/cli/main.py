@@ -26,8 +26,15 @@ app = typer.Typer(
 )
 
 Block = Annotated[Path, typer.Argument(metavar="PATH", help="A block folder or a BAL file.", show_default=False)]
+Blocks = Annotated[
+    list[Path], typer.Argument(metavar="PATH...", help="Block folders or BAL files.", show_default=False)
+]
 Out = Annotated[
-    Path | None, typer.Option(help="Folder of the results.  [default: <name>-adjusted]", show_default=False)
+    Path | None,
+    typer.Option(
+        help="Folder of the results.  [default: <name>-adjusted; adjustments, with a folder for each, for several]",
+        show_default=False,
+    ),
 ]
 
 
@@ -63,8 +70,9 @@ def options(
 
 @app.command()
 def adjust(
-    path: Block,
+    paths: Blocks,
     out: Out = None,
+    jobs: Annotated[int, typer.Option(min=1, help="Processes that share several blocks and the cores.")] = 1,
     method: Annotated[Literal["levenberg-marquardt", "gauss-newton"], typer.Option()] = "levenberg-marquardt",
     stop: Annotated[
         Literal["angle", "points", "parallax", "unknown"],
@@ -121,21 +129,36 @@ def adjust(
     processes: Annotated[int | None, typer.Option(help="Processes of the cluster.", show_default=False)] = None,
     process: Annotated[int | None, typer.Option(help="Number of this process, from 0 on.", show_default=False)] = None,
 ) -> None:
-    """Adjust a block and write its report and tables.
+    """Adjust blocks and write their reports and tables.
 
-    Exit code 0: adjusted; 1: adjusted, but not converged or with undetermined unknowns; 2: bad input. Ctrl-C ends the
-    iterations and keeps the last accepted unknowns.
+    Exit code 0: adjusted; 1: adjusted, but not converged or with undetermined unknowns; 2: bad input; of several blocks
+    the worst. Ctrl-C ends the iterations and keeps the last accepted unknowns; of several blocks, those of one process.
     """
-    adjusting = _loaded("adjusting", cluster_of(coordinator, processes, process))
+    cluster = cluster_of(coordinator, processes, process)
+    if len(paths) > 1 and (checkpoint is not None or cluster is not None):
+        raise typer.BadParameter("a --checkpoint and a cluster belong to one block; adjust the blocks one by one")
+    adjusting = _loaded("adjusting", cluster)
     if reduced == "pcg" and not no_precision:
         raise typer.BadParameter("--reduced pcg gives no standard deviations and needs --no-precision")
     if robust is not None and checkpoint is not None:
         raise typer.BadParameter("--robust solves many times and keeps no --checkpoint")
     function = adjusting.weight_function(robust, robust_limit)
     wanted = adjusting.Wanted(
-        method, stop, limit, tuple(unknown or ()), max_iterations, engine, reduced, checkpoint, function
+        method,
+        stop,
+        limit,
+        tuple(unknown or ()),
+        max_iterations,
+        engine,
+        reduced,
+        checkpoint,
+        function,
+        hold_interior,
+        not no_precision,
     )
-    raise typer.Exit(adjusting.run(path, out, wanted, hold_interior, not no_precision))
+    if len(paths) == 1:
+        raise typer.Exit(adjusting.run(paths[0], out, wanted))
+    raise typer.Exit(importlib.import_module("jaxbundle.cli.several").run(paths, out, wanted, jobs))
 
 
 @app.command()

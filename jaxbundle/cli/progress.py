@@ -12,7 +12,7 @@ HEADER = f"{'iteration':>9}  {'cost':>14}  {'lambda':>8}  {'|Jd|/|v|':>8}  {'sig
 
 
 class ProgressLines:
-    """Writes to standard error, and only where that is a terminal."""
+    """Writes to standard error, and only where that is a terminal; nothing if `quiet`."""
 
     def __init__(self, quiet: bool = False) -> None:
         self._console = Console(stderr=True, highlight=False, quiet=quiet)

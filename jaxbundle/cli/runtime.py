@@ -17,13 +17,13 @@ MOST_DEVICES = 8  # each holds the reduced normal equations in full
 MEETING, LOST, WRITING = 120, 60, 3600  # seconds: to wait for all processes, for a silent one, for the report
 
 
-def start(cluster: Cluster | None = None) -> None:
-    """To be called before anything is computed. `cluster`: that this process belongs to.
+def start(cluster: Cluster | None = None, processes: int = 1) -> None:
+    """To be called before anything is computed. `cluster`: that this process belongs to; `processes` share the cores.
 
     Raises: typer.BadParameter for a cluster that cannot be joined.
     """
     jax.config.update("jax_enable_x64", True)
-    jax.config.update("jax_num_cpu_devices", min(_cores(), MOST_DEVICES))
+    jax.config.update("jax_num_cpu_devices", max(1, min(_cores() // processes, MOST_DEVICES)))
     jax.config.update("jax_compilation_cache_dir", str(cache_folder()))
     programs.keep_in(cache_folder() / "programs")
     jax.config.update("jax_persistent_cache_min_compile_time_secs", 0.0)

@@ -24,8 +24,8 @@ def arranged_vectors(
     interior: Float[np.ndarray, "vector camera column"],
     parameters: Float[np.ndarray, "vector parameter"],
     object_points: Float[np.ndarray, "vector point 3"],
-) -> NormalVector:
-    """Host vectors by the elements of the block, angles those of the corrections; what is held there becomes 0."""
+) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
+    """Parts of a `NormalVector` by the elements of the block, angles those of the corrections; 0 for what is held."""
     o, shape, count = plan.order, plan.shape, len(exterior)
     interior = interior * structure.interior_free[:, list(structure.interior_columns)]
     images, border = np.zeros((count, o.images, shape.image)), np.zeros((count, shape.border))
@@ -40,4 +40,4 @@ def arranged_vectors(
     points[:, :, o.point] = (object_points * structure.point_free).transpose(0, 2, 1)
     border[:, shape.first_kept_point :] = points[:, :, plan.places :].transpose(0, 2, 1).reshape(count, -1)
     tiles = points[:, :, : plan.places].reshape(count, 3, -1, shape.width)
-    return NormalVector(images, border, tiles)
+    return images, border, tiles

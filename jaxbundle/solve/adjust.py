@@ -9,6 +9,7 @@ from typing import NamedTuple, get_args
 import jax
 import jax.numpy as jnp
 import numpy as np
+from jax.custom_batching import sequential_vmap
 from jaxtyping import Array
 
 from jaxbundle.block.block import Block
@@ -86,13 +87,7 @@ def adjust(
     Raises: BlockError with all problems of the block; CheckpointError for a checkpoint of another block; ValueError for
     an unknown name or without float64.
     """
-    require_float64()
-    if method not in METHODS or engine not in ENGINES:
-        raise ValueError(f"no method {method!r} with engine {engine!r}; there are {list(METHODS)} and {list(ENGINES)}")
-    if precision and reduced == "pcg":
-        raise ValueError("conjugate gradients give no standard deviations: call adjust(..., precision=False)")
-    if derivatives not in get_args(Derivatives):
-        raise ValueError(f"no derivatives {derivatives!r}; there are {list(get_args(Derivatives))}")
+    require_options(method, engine, precision, reduced, derivatives)
     values = constant(block)
     if values.concrete:
         require_valid(values)
@@ -106,6 +101,19 @@ def adjust(
         lambda b: _least_squares(b, wanted, False, None), lambda b: _least_squares(b, wanted, precision, None)
     )
     return adjust_robustly(block, robust, solve)
+
+
+def require_options(
+    method: str, engine: str, precision: bool, reduced: Method, derivatives: Derivatives = "exact"
+) -> None:
+    """Raises ValueError for options that no block can be adjusted with."""
+    require_float64()
+    if method not in METHODS or engine not in ENGINES:
+        raise ValueError(f"no method {method!r} with engine {engine!r}; there are {list(METHODS)} and {list(ENGINES)}")
+    if precision and reduced == "pcg":
+        raise ValueError("conjugate gradients give no standard deviations: call adjust(..., precision=False)")
+    if derivatives not in get_args(Derivatives):
+        raise ValueError(f"no derivatives {derivatives!r}; there are {list(get_args(Derivatives))}")
 
 
 class _Wanted(NamedTuple):
@@ -192,12 +200,17 @@ class _Run(NamedTuple):
 
 
 def _in_one(run: _Run) -> tuple[Arranged, Iterations]:
-    """All steps in one program, as tracing needs it."""
-    bundle = BundleSolver(METHODS[run.wanted.method]())
-    unknowns = arranged_unknowns(run.plan, unknowns_of(run.block))
-    unknowns, state = solver.run(
-        bundle, unknowns, run.args, bundle.first(), run.wanted.max_iterations, optimised=run.optimised
-    )
+    """All steps in one program, as tracing needs it; under vmap one block after the other.
+
+    Measured: a block's arrays are long enough by themselves, those of many blocks together leave the processor's cache.
+    """
+    bundle, most = BundleSolver(METHODS[run.wanted.method]()), run.wanted.max_iterations
+
+    @sequential_vmap
+    def solved(unknowns: Arranged, args: Arguments) -> tuple[Arranged, State]:
+        return solver.run(bundle, unknowns, args, bundle.first(), most, optimised=run.optimised)
+
+    unknowns, state = solved(arranged_unknowns(run.plan, unknowns_of(run.block)), run.args)
     codes = jnp.array([_STATUS[k] for k in range(len(_STATUS))])
     return unknowns, _iterations(state, codes[state.status])
 

@@ -100,7 +100,7 @@ def _arranged_rows(plan: Arrangement, block: Block, derivatives: Any) -> NormalV
         np.asarray(derivatives.parameters),
         np.asarray(derivatives.object_points),
     )
-    return jax.tree.map(on_device, rows)
+    return NormalVector(*map(on_device, rows))
 
 
 def error_ellipsoids(adjustment: Adjustment) -> Ellipsoids:

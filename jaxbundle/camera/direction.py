@@ -1,0 +1,37 @@
+"""The way back from the image: the photo vector of a measured point, for any camera model."""
+
+import jax
+import jax.numpy as jnp
+from jaxtyping import Array, Float
+
+from jaxbundle.camera.model import CameraModel, ImagePoint
+from jaxbundle.geometry.rotation import Scalar
+
+NEWTON_STEPS = 10  # a correction of the measurement needs one, a strong distortion of the projection about six
+SETTLED = 1e-13  # of the principal distance: below, a Newton step is rounding
+
+
+def direction(
+    model: CameraModel, interior: tuple[Scalar, ...], measured: tuple[Float[Array, "..."], Float[Array, "..."]]
+) -> tuple[Float[Array, "..."], Float[Array, "..."], Float[Array, "..."]]:
+    """Unit vector along the ray, in the system of the photograph; arrays of any one shape.
+
+    The photo vector (a, b, -1) is the one whose residual vanishes, by Newton's method: any camera model has an inverse.
+    """
+    one, zero = jnp.ones_like(measured[0]), jnp.zeros_like(measured[0])
+
+    def residual(a: Array, b: Array) -> ImagePoint:
+        return model.residual(interior, (a, b, -one), measured)
+
+    def step(state: tuple[Array, Array, Array, Array]) -> tuple[Array, Array, Array, Array]:
+        a, b, _, k = state
+        (vx, vy), (xa, ya) = jax.jvp(residual, (a, b), (one, zero))
+        _, (xb, yb) = jax.jvp(residual, (a, b), (zero, one))
+        determinant = xa * yb - xb * ya
+        da, db = (yb * vx - xb * vy) / determinant, (xa * vy - ya * vx) / determinant
+        return a - da, b - db, jnp.any(jnp.maximum(jnp.abs(da), jnp.abs(db)) > SETTLED), k + 1
+
+    start = zero, zero, jnp.array(True), jnp.array(0)
+    a, b, *_ = jax.lax.while_loop(lambda state: state[2] & (state[3] < NEWTON_STEPS), step, start)
+    length = jnp.sqrt(a * a + b * b + 1)
+    return a / length, b / length, -1 / length

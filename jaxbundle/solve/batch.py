@@ -1,0 +1,177 @@
+"""Many blocks, one after the other: what fails does not stop the rest, and a table says how each one went."""
+
+import time
+from collections.abc import Callable, Iterable, Iterator, Mapping, Sequence
+from dataclasses import dataclass
+from typing import Any, NamedTuple
+
+from jaxbundle.block.block import Block
+from jaxbundle.normals.reduced_plan import Method
+from jaxbundle.solve.adjust import adjust, require_options
+from jaxbundle.solve.adjustment import Adjustment, Status
+from jaxbundle.solve.robust import AbstractWeightFunction
+from jaxbundle.solve.stopping import AbstractStoppingRule
+
+FAILED = "bad input"
+SHOWN = 100  # characters of a problem in a line of the table
+
+
+class Row(NamedTuple):
+    """One block of a batch; what is not known where it failed is None."""
+
+    name: str
+    status: str
+    observations: int | None = None
+    unknowns: int | None = None
+    redundancy: int | None = None
+    sigma0: float | None = None
+    iterations: int | None = None
+    seconds: float = 0.0
+    problem: str = ""
+
+
+def row_of(name: str, a: Adjustment, seconds: float) -> Row:
+    """The row of an adjustment."""
+    status = a.status.name.lower().replace("_", " ")
+    words = [] if a.status is Status.CONVERGED else [f"the adjustment {a.status.words}"]
+    problem = "; ".join([*words, *(f"undetermined: {what}" for what in a.undetermined)])
+    sigma0, iterations = float(a.sigma0), int(a.iterations.trials)
+    return Row(name, status, a.observations, a.unknowns, a.redundancy, sigma0, iterations, seconds, problem)
+
+
+def failed_row(name: str, error: Exception, seconds: float) -> Row:
+    """The row of a block that was not adjusted."""
+    return Row(name, FAILED, seconds=seconds, problem=str(error))
+
+
+@dataclass(frozen=True)
+class Outcome:
+    """A block of a batch: its adjustment, or the error that kept it from being adjusted."""
+
+    name: str
+    result: Adjustment | ValueError
+    seconds: float
+
+    @property
+    def row(self) -> Row:
+        """The outcome in figures and words."""
+        if isinstance(self.result, Adjustment):
+            return row_of(self.name, self.result, self.seconds)
+        return failed_row(self.name, self.result, self.seconds)
+
+
+@dataclass(frozen=True)
+class Batch:
+    """Outcomes in the order of the blocks."""
+
+    outcomes: tuple[Outcome, ...]
+
+    @property
+    def adjustments(self) -> list[Adjustment]:
+        """Those of the blocks that could be adjusted."""
+        return [outcome.result for outcome in self.outcomes if isinstance(outcome.result, Adjustment)]
+
+    @property
+    def trustworthy(self) -> bool:
+        """Whether every block is adjusted and can be trusted."""
+        return all(isinstance(o.result, Adjustment) and o.result.trustworthy for o in self.outcomes)
+
+    def table(self) -> list[Row]:
+        """A row for every block."""
+        return [outcome.row for outcome in self.outcomes]
+
+    def summary(self) -> str:
+        """The table in aligned columns, one line a block, with the beginning of what is wrong."""
+        return "\n".join(table_lines(self.table()))
+
+
+def table_lines(rows: Sequence[Row]) -> list[str]:
+    """Rows as aligned lines below a header; of a problem its beginning, for the rest see the row."""
+    cells = [Row._fields, *(_cells(row) for row in rows)]
+    widths = [max(map(len, column)) for column in zip(*cells, strict=True)]
+    left = {0, 1, len(widths) - 1}
+    return [
+        "  ".join(
+            c.ljust(w) if k in left else c.rjust(w) for k, (c, w) in enumerate(zip(line, widths, strict=True))
+        ).rstrip()
+        for line in cells
+    ]
+
+
+def _cells(row: Row) -> tuple[str, ...]:
+    counts = ["-" if count is None else str(count) for count in row[2:5]]
+    sigma0, iterations = ("-" if row.sigma0 is None else f"{row.sigma0:.6g}"), row.iterations
+    problem = " ".join(row.problem.split())
+    shown = problem if len(problem) <= SHOWN else f"{problem[: SHOWN - 3]}..."
+    steps = "-" if iterations is None else str(iterations)
+    return row.name, row.status, *counts, sigma0, steps, f"{row.seconds:.2f}", shown
+
+
+def adjust_many(
+    blocks: Mapping[str, Block] | Iterable[Block],
+    *,
+    method: str = "levenberg-marquardt",
+    stop: AbstractStoppingRule | None = None,
+    max_iterations: int = 200,
+    precision: bool = True,
+    engine: str = "block",
+    reduced: Method = "auto",
+    devices: int | None = None,
+    robust: AbstractWeightFunction | None = None,
+    progress: Callable[[Outcome], None] | None = None,
+) -> Batch:
+    """Adjusts blocks of any shapes one after the other; options as those of `adjust`.
+
+    Blocks of similar size share their compiled programs. A block that cannot be adjusted has its error in the result
+    and stops no other. `blocks`: by name, or in a row, each then called by its own name; equal ones are numbered.
+    `progress` is called with every finished block. Ctrl-C ends the batch after the block that is being adjusted, of
+    which the last accepted unknowns are kept.
+
+    Raises: ValueError for options that no block can be adjusted with, or without float64.
+    """
+    require_options(method, engine, precision, reduced)
+    outcomes: list[Outcome] = []
+    for name, block in _named(blocks):
+        start = time.perf_counter()
+        try:
+            result = adjust(
+                block,
+                method=method,
+                stop=stop,
+                max_iterations=max_iterations,
+                precision=precision,
+                engine=engine,
+                reduced=reduced,
+                devices=devices,
+                robust=robust,
+            )
+        except ValueError as error:
+            result = error
+        outcome = Outcome(name, result, time.perf_counter() - start)
+        outcomes.append(outcome)
+        if progress is not None:
+            progress(outcome)
+        if isinstance(result, Adjustment) and result.status is Status.INTERRUPTED:
+            break
+    return Batch(tuple(outcomes))
+
+
+def _named(blocks: Any) -> Iterator[tuple[str, Block]]:
+    """Blocks and their names, taken one by one."""
+    taken: set[str] = set()
+    if isinstance(blocks, Mapping):
+        yield from blocks.items()
+        return
+    for block in blocks:
+        name = unique(block.structure.name or "(unnamed)", taken)
+        taken.add(name)
+        yield name, block
+
+
+def unique(name: str, taken: set[str]) -> str:
+    """The name, with a number behind it if it is taken."""
+    number, found = 1, name
+    while found in taken:
+        number += 1
+        found = f"{name}-{number}"
+    return found
