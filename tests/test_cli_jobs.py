@@ -38,7 +38,7 @@ def blocks(tmp_path_factory) -> Path:
 def run(blocks, monkeypatch, capsys, pytestconfig):
     """Runs `adjust` beside the blocks; exit code, standard output, standard error."""
     monkeypatch.chdir(blocks)
-    monkeypatch.setattr(runtime, "start", lambda: None)  # of this process; workers start for themselves
+    monkeypatch.setattr(runtime, "start", lambda cluster: None)  # of this process; workers start for themselves
     monkeypatch.setenv("XDG_CACHE_HOME", str(pytestconfig.cache.mkdir("workers")))
 
     def call(*arguments: object) -> tuple[int, str, str]:
@@ -102,7 +102,7 @@ def test_no_place_for_results(run, blocks):
 @pytest.mark.parametrize(
     ("options", "message"),
     [
-        (("--checkpoint", "state"), "a --checkpoint belongs to one block"),
+        (("--checkpoint", "state"), "a --checkpoint and a cluster belong to one block"),
         (("--jobs", "0"), "greater than or equal to 1"),
     ],
 )

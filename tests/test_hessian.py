@@ -33,9 +33,8 @@ def assert_solved(block: Block, devices: int) -> None:
     x, p = arranged_unknowns(plan, unknowns_of(block)), problem(plan, block)
     interior = np.asarray(sd.interior)[None, :, list(structure.interior_columns)]
     exterior = np.hstack([sd.projection_centre, sd.angles])[None]
-    scale = arranged_vectors(
-        plan, structure, exterior, interior, sd.parameters[None], np.asarray(sd.object_points)[None]
-    )
+    parameters, points = np.asarray(sd.parameters)[None], np.asarray(sd.object_points)[None]
+    scale = NormalVector(*map(on_device, arranged_vectors(plan, structure, exterior, interior, parameters, points)))
     rng = np.random.default_rng(1)
     expected = jax.tree.map(lambda s: jnp.asarray(rng.standard_normal(s.shape[1:])) * s[0], scale)
 
