@@ -14,7 +14,7 @@ import jax
 
 jax.config.update("jax_enable_x64", True)
 
-import cv2  # pyright: ignore[reportMissingImports]
+import cv2  # noqa: E402  # pyright: ignore[reportMissingImports]
 import jax.numpy as jnp  # noqa: E402
 import numpy as np  # noqa: E402
 from table import print_machine  # noqa: E402
