@@ -13,7 +13,6 @@ os.environ["XLA_FLAGS"] = f"{os.environ.get('XLA_FLAGS', '')} {QUICKLY}"
 jax.config.update("jax_enable_x64", True)
 jax.config.update("jax_num_cpu_devices", 4)
 
-MOST_MAPS = 30_000
 SHARED_DATA = Path(__file__).parents[2] / "shared" / "data"
 
 
@@ -30,10 +29,8 @@ def pytest_configure(config: pytest.Config) -> None:
 def forgotten_programs():
     """Programs hold memory maps, of which a process may have some 65 thousand (vm.max_map_count)."""
     yield
-    maps = Path("/proc/self/maps")
-    if maps.exists() and maps.read_bytes().count(b"\n") > MOST_MAPS:
-        Compiled.forget()
-        jax.clear_caches()
+    Compiled.forget()
+    jax.clear_caches()
 
 
 @pytest.fixture(scope="session")

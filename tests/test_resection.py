@@ -113,6 +113,7 @@ def test_given_start_leads_to_the_same_and_keeps_its_turns():
     np.testing.assert_allclose(given.angles, direct.angles + turn, rtol=1e-9)
 
 
+@pytest.mark.thorough
 def test_angles_of_another_system():
     block = one_image(POINTS, noise=0.5)
     direct = resected(block)
@@ -202,6 +203,7 @@ def test_points_left_out_by_an_infinite_sigma_have_no_influence():
         np.testing.assert_allclose(getattr(alone, name), getattr(plain, name), rtol=1e-6, atol=1e-9)
 
 
+@pytest.mark.thorough
 def test_derivatives_are_differences():
     x, xy, _ = many(1)
 
@@ -216,6 +218,7 @@ def test_derivatives_are_differences():
     np.testing.assert_allclose(value, all_of(0.0), rtol=1e-9)
 
 
+@pytest.mark.thorough
 def test_gradients_go_through_vmap_either_way():
     x, xy, _ = many(3)
 
