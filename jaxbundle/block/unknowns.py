@@ -20,7 +20,7 @@ from jaxtyping import Array, Bool, Float
 
 from jaxbundle.block.block import Block, ExteriorOrientation, InteriorOrientation, Structure
 from jaxbundle.geometry import rotation
-from jaxbundle.geometry.rotation import Angles, Rotation, RotationSystem
+from jaxbundle.geometry.rotation import Angles, Rotation, RotationSystem, Scalar
 from jaxbundle.numerics.compilation import Compiled
 from jaxbundle.numerics.host import is_concrete, on_device, on_host
 from jaxbundle.numerics.shapes import grid_size
@@ -107,9 +107,13 @@ def _small_rotation(reference: Rotation, alpha: Array, omega: Array, kappa: Arra
 
 def _columns(rotation_from_angles: Callable[..., Rotation], angles: Angles) -> Float[Array, "9 3 image"]:
     """Derivatives of the nine elements with respect to each of three angles, image by image."""
-    one, zero = jnp.ones_like(angles[0]), jnp.zeros_like(angles[0])
-    units = ((one, zero, zero), (zero, one, zero), (zero, zero, one))
-    return jnp.stack([jnp.stack(jax.jvp(rotation_from_angles, angles, unit)[1]) for unit in units], 1)
+    along = [jnp.stack(jax.jvp(rotation_from_angles, angles, unit)[1]) for unit in _units(angles[0])]
+    return jnp.stack(along, 1)
+
+
+def _units(like: Scalar) -> tuple[Angles, Angles, Angles]:
+    one, zero = jnp.ones_like(like), jnp.zeros_like(like)
+    return (one, zero, zero), (zero, one, zero), (zero, zero, one)
 
 
 def attitude_derivatives(
@@ -122,6 +126,22 @@ def attitude_derivatives(
         return small
     own = _columns(system.rotation_from_angles, system.angles_from_rotation(tuple(matrix)))
     return jnp.where(in_angles, own, small)
+
+
+def attitude_curvature(
+    matrix: Float[Array, "9 image"], in_angles: Bool[Array, " image"] | None, system: RotationSystem
+) -> Float[Array, "9 3 3 image"]:
+    """Second derivatives of the rotation matrices with respect to these angles."""
+
+    def second(rotation_from_angles: Callable[..., Rotation], angles: Angles) -> Float[Array, "9 3 3 image"]:
+        along = [jax.jvp(lambda *a: _columns(rotation_from_angles, a), angles, unit)[1] for unit in _units(angles[0])]
+        return jnp.stack(along, 2)
+
+    zero = jnp.zeros_like(matrix[0])
+    small = second(lambda *angles: _small_rotation(tuple(matrix), *angles), (zero, zero, zero))
+    if in_angles is None:
+        return small
+    return jnp.where(in_angles, second(system.rotation_from_angles, system.angles_from_rotation(tuple(matrix))), small)
 
 
 def corrected(

@@ -18,6 +18,7 @@ from jaxbundle.camera.collinearity import Vector
 from jaxbundle.geometry.rotation import Rotation
 from jaxbundle.normals.products import AbstractProducts
 from jaxbundle.numerics.host import is_concrete
+from jaxbundle.numerics.stored import stored
 
 
 def to_cells(values: Any, cell: Int[np.ndarray, "device chunk slot column"], rays: Int[np.ndarray, " of_part"]) -> Any:
@@ -77,6 +78,11 @@ class Chunk(NamedTuple):
         """Number of tiles."""
         return self.tile[-1] + 1
 
+    @property
+    def zero(self) -> Int[Array, ""]:
+        """A 0 that only the running program knows; see `stored`."""
+        return jnp.minimum(self.first_tile, 0)
+
     def window(self, of_tiles: Array) -> Array:
         """The chunk's part of an array with a row a tile, with rows of the next chunks behind it."""
         return lax.dynamic_slice_in_dim(of_tiles, self.first_tile, self.most_tiles, 0)
@@ -112,7 +118,7 @@ def points_at_cells(chunk: Chunk, points: list[Array], tile: Array, rotation: Ro
 def sum_by_tile(cells: list[Array], chunk: Chunk) -> list[Array]:
     """Sums of several cell arrays over the slots of every tile: (tile, column) each."""
     n = cells[0].shape[1]
-    joined = jnp.concatenate(lax.optimization_barrier(cells), 1)
+    joined = jnp.concatenate(stored(cells, chunk.zero), 1)
     zero = jnp.zeros((chunk.most_tiles, joined.shape[1]))
     sums = zero.at[chunk.tile].add(joined, mode="promise_in_bounds", indices_are_sorted=True)
     return [sums[:, k * n : (k + 1) * n] for k in range(len(cells))]

@@ -15,12 +15,14 @@ from functools import partial
 from typing import NamedTuple
 
 import jax.numpy as jnp
+import numpy as np
 from jax import lax
 from jaxtyping import Array, Bool, Float, Int
 
 from jaxbundle.block.residuals import Observations
 from jaxbundle.block.unknowns import Unknowns
 from jaxbundle.normals.cells import Chunk, Tiles, at_slots, chunk_of, points_at_cells, sum_by_tile
+from jaxbundle.normals.curvature import RayCurvature, ray_curvature, summed
 from jaxbundle.normals.point_blocks import PointFactor, factorise, forward
 from jaxbundle.normals.rows import ImageScalars, ray_rows
 
@@ -68,6 +70,7 @@ class ImageSums(NamedTuple):
     image: Float[Array, "image m m"]  # [A; a; v; y] with itself
     coupling: Float[Array, "image d border"]  # of E E_b^T
     border: Float[Array, "border border"]  # of E_b E_b^T
+    rotation: Float[Array, "image 9"] | None  # gradient by the rotation matrix, where second derivatives are wanted
 
 
 def image_table(
@@ -85,9 +88,8 @@ def _image_scalars(at: list[Array]) -> ImageScalars:
 
 
 def broadcast(image: ImageScalars, like: Array) -> ImageScalars:
-    """Rotation and interior on every cell: what is differentiated must not be summed over the columns."""
-    full = [tuple(jnp.broadcast_to(s, like.shape) for s in part) for part in (image.rotation, image.interior)]
-    return image._replace(rotation=full[0], interior=full[1])
+    """Interior on every cell: what is differentiated must not be summed over the columns."""
+    return image._replace(interior=tuple(jnp.broadcast_to(s, like.shape) for s in image.interior))
 
 
 class Eliminated(NamedTuple):
@@ -99,6 +101,7 @@ class Eliminated(NamedTuple):
     residual: tuple[Array, Array]
     z: list[Array]  # at the slots
     factor: Array  # (tile, FACTOR n)
+    curvature: RayCurvature | None  # `mixed` times L^-T
 
 
 def eliminate_chunk(
@@ -110,8 +113,10 @@ def eliminate_chunk(
     damping: Array,
     tiles: Tiles,
     c: Array,
+    exact: bool = False,
 ) -> Eliminated:
-    """Linearises and factorises the points of a chunk. `prior`: V and gradient from observations other than rays."""
+    """Linearises and factorises the points of a chunk. `prior`: V and gradient from observations other than rays;
+    `exact`: with all second derivatives."""
     chunk = chunk_of(tiles, c)
     n = chunk.used.shape[1]
     image = _image_scalars(at_slots(table, chunk.slot_image))
@@ -121,6 +126,11 @@ def eliminate_chunk(
     rows = lax.optimization_barrier(rows)
     (bx, by), (vx, vy) = rows.point, rows.residual
     terms = [bx[i] * bx[j] + by[i] * by[j] for i, j in PAIRS] + [bx[i] * vx + by[i] * vy for i in range(3)]
+    bend = None
+    if exact:
+        ray = scalars, point, chunk.measured, chunk.weights
+        bend = ray_curvature(observations.model, observations.columns, *ray, chunk.zero)
+        terms[:6] = [t + b for t, b in zip(terms[:6], bend.point, strict=True)]
     sums = sum_by_tile(terms, chunk)
     if prior is not None:
         sums = [s + chunk.window(p) for s, p in zip(sums, prior, strict=True)]
@@ -136,13 +146,18 @@ def eliminate_chunk(
     column = [at_slot[:, k * n : (k + 1) * n] for k in range(15)]
     f = PointFactor(*column[:6])
     h = lax.optimization_barrier((forward(f, bx), forward(f, by)))
-    return Eliminated(chunk, rows.image, h, (vx, vy), column[12:], kept[:, : FACTOR * n])
+    if bend is not None:
+        bend = bend._replace(mixed=[forward(f, (x, y, z)) for x, y, z in bend.mixed])
+    return Eliminated(chunk, rows.image, h, (vx, vy), column[12:], kept[:, : FACTOR * n], bend)
 
 
 def coupling_rows(e: Eliminated, first: int, count: int) -> Array:
     """E of some unknowns of every slot: (slot, count * 3 n), by unknown, coordinate, column."""
-    (ax, ay), (hx, hy) = e.image_rows, e.h
-    blocks = [ax[a] * hx[k] + ay[a] * hy[k] for a in range(first, first + count) for k in range(3)]
+    (ax, ay), (hx, hy), unknowns = e.image_rows, e.h, range(first, first + count)
+    blocks = [ax[a] * hx[k] + ay[a] * hy[k] for a in unknowns for k in range(3)]
+    if e.curvature is not None:
+        mixed = [e.curvature.mixed[a][k] for a in unknowns for k in range(3)]
+        blocks = [x + y for x, y in zip(blocks, mixed, strict=True)]
     return jnp.concatenate(lax.optimization_barrier(blocks), 1)
 
 
@@ -154,6 +169,16 @@ def _image_products(e: Eliminated) -> Array:
     rows = jnp.concatenate(lax.optimization_barrier([x for pair in pairs for x in pair]), 1)
     rows = rows.reshape(rows.shape[0], len(pairs), -1)
     return lax.dot_general(rows, rows, (((2,), (2,)), ((0,), (0,))))
+
+
+def _curvature_sums(curvature: RayCurvature, m: int) -> tuple[Float[Array, "slot m m"], Float[Array, "slot 9"]]:
+    """Of the unknowns of every image, as `_image_products` has them, and the gradient by the rotation matrix."""
+    k = len(curvature.image)
+    row, column = np.tril_indices(k)
+    place = np.zeros((k, k), int)
+    place[row, column] = place[column, row] = np.arange(len(row))
+    sums = summed(curvature.image)
+    return jnp.pad(sums[:, place], ((0, 0), (0, m - k), (0, m - k))), jnp.concatenate(curvature.rotation, 1)
 
 
 def border_rows(e: Eliminated, observations: Observations, shape: Shape) -> Float[Array, "tile border 3n"]:
@@ -177,6 +202,7 @@ def eliminate(
     tiles: tuple[Tiles, ...],
     shape: Shape,
     diagonal_pair: Int[Array, " image"],
+    exact: bool = False,
 ) -> tuple[ImageSums, Float[Array, "tile numbers"]]:
     """All chunks of one device: sums for the reduced equations, and factor, gradient and diagonal of every point."""
     d, q, images, n = shape.image, shape.shared, table.shape[0], points.shape[2]
@@ -184,8 +210,14 @@ def eliminate(
 
     def add_chunk(part: Tiles, c: Array, carry: tuple[ImageSums, Array]) -> tuple[ImageSums, Array]:
         sums, factors = carry
-        e = eliminate_chunk(observations, table, points, prior, free, damping, part, c)
-        image = sums.image.at[e.chunk.slot_image].add(_image_products(e), mode="promise_in_bounds")
+        e = eliminate_chunk(observations, table, points, prior, free, damping, part, c, exact)
+        products = _image_products(e)
+        if e.curvature is not None and sums.rotation is not None:
+            added, rotation = _curvature_sums(e.curvature, m)
+            products = products + added
+            rotation = sums.rotation.at[e.chunk.slot_image].add(rotation, mode="promise_in_bounds")
+            sums = sums._replace(rotation=rotation)
+        image = sums.image.at[e.chunk.slot_image].add(products, mode="promise_in_bounds")
         coupling = coupling_rows(e, 0, d)
         if part.products is None:
             own = coupling.reshape(coupling.shape[0], d, -1)
@@ -211,6 +243,7 @@ def eliminate(
         jnp.zeros((images, m, m)),
         jnp.zeros((images, d, border)),
         jnp.zeros((border, border)),
+        jnp.zeros((images, 9)) if exact else None,
     )
     carry = sums, jnp.zeros((points.shape[1], FACTOR * n))
     for part in tiles:

@@ -1,6 +1,6 @@
 """The reduced normal equations solved without being formed: preconditioned conjugate gradients.
 
-    S x = A^T P (A x - B u) + lambda D x,    u = V^-1 B^T P A x        a forward and a transposed derivative each
+    S x = U x - W u + lambda D x,    u = V^-1 W^T x        products of `ray_products`
 
 One product runs through all tiles once, like the back-substitution. The preconditioner are the diagonal blocks of S,
 one an image and one for the whole border.
@@ -8,81 +8,70 @@ one an image and one for the whole border.
 For blocks whose factor would be too large or too full. It gives no cofactors.
 """
 
-from functools import partial
 from typing import NamedTuple
 
+import equinox as eqx
 import jax
 import jax.numpy as jnp
 from jax import lax
 from jaxtyping import Array, Float
 
-from jaxbundle.block.residuals import Observations
-from jaxbundle.normals.cells import Tiles, at_slots, chunk_of, points_at_cells, sum_by_tile
+from jaxbundle.normals.arrange import Arranged, Problem
+from jaxbundle.normals.cells import Tiles
 from jaxbundle.normals.kept import KeptSums
-from jaxbundle.normals.point_blocks import PointFactor, backward, forward
-from jaxbundle.normals.rows import image_equation
-from jaxbundle.normals.substitute import split_values
+from jaxbundle.normals.kept_vector import KeptVector, correction_of, direction_of, kept_rows
+from jaxbundle.normals.ray_products import reduced_product
+from jaxbundle.normals.reduced_system import ReducedFactor, ReducedSystem, factorise, solve
+from jaxbundle.normals.substitute import image_values
+from jaxbundle.numerics.conjugate_gradients import conjugate_gradients
 
 TOLERANCE = 1e-12  # of the first residual, in the norm of the preconditioner
 MOST_ITERATIONS = 2000
 
 
-class KeptVector(NamedTuple):
-    """A vector of kept unknowns."""
+class ImplicitEquations(NamedTuple):
+    """The reduced equations as one device has them; `factors`: of its points, `exact`: with all second derivatives."""
 
-    images: Float[Array, "image d"]
-    border: Float[Array, " border"]
+    unknowns: Arranged
+    turns: Float[Array, "9 3 image"]
+    kept: KeptSums
+    system: ReducedSystem
+    factors: Float[Array, "tile numbers"]
+    damping: Array
+    problem: Problem
+    tiles: tuple[Tiles, ...]
+    axis: str | None
+    exact: bool = False
 
-    def dot(self, other: "KeptVector") -> Float[Array, ""]:
-        """Scalar product."""
-        return jnp.sum(self.images * other.images) + jnp.sum(self.border * other.border)
+    def solve(self, right: KeptVector) -> KeptVector:
+        """S^-1 r."""
+        factor = self._preconditioner()
 
+        def precondition(r: KeptVector) -> KeptVector:
+            images, border = solve(self.problem.reduced, factor, r.images[..., None], r.border[:, None])
+            return KeptVector(images[..., 0], border[:, 0])
 
-def ray_product(
-    observations: Observations,
-    before: Float[Array, "image number"],
-    direction: Float[Array, "image number"],
-    points: Float[Array, "3 tile column"],
-    factors: Float[Array, "tile numbers"],
-    tiles: tuple[Tiles, ...],
-) -> Float[Array, "image number"]:
-    """A^T P (A x - B u) of the rays of one device, by the numbers of `image_values`; `direction` is x."""
-    table = jnp.concatenate([before, direction], 1)
-    width, n, model = before.shape[1], points.shape[2], observations.model
+        right = self._only_free(right)
+        return conjugate_gradients(self._product, precondition, right, KeptVector.dot, TOLERANCE, MOST_ITERATIONS)[0]
 
-    def add_chunk(part: Tiles, c: Array, sums: Array) -> Array:
-        chunk = chunk_of(part, c)
-        numbers = at_slots(table, chunk.slot_image)
-        old, along = split_values(numbers[:width]), split_values(numbers[width:])
-        point = points_at_cells(chunk, list(points), chunk.first_tile + chunk.tile, old[0], old[1])
+    def _preconditioner(self) -> ReducedFactor:
+        # with the coupling, but without the blocks of pairs of images, it might not be positive
+        diagonal = eqx.tree_at(lambda s: s.coupling, self.system, jnp.zeros_like(self.system.coupling))
+        return factorise(self.problem.reduced, diagonal, self.damping)
 
-        def of_image(rotation, centre, interior):
-            return image_equation(model, rotation, centre, interior, point, chunk.measured)
+    def _only_free(self, x: KeptVector) -> KeptVector:
+        free = KeptVector(self.system.free, self.system.border_free)
+        return jax.tree.map(lambda f, v: jnp.where(f, v, 0.0), free, x)
 
-        def of_point(p):
-            return image_equation(model, old[0], old[1], old[2], p, chunk.measured)
-
-        def weighted(v):
-            return tuple(w * w * x for w, x in zip(chunk.weights, v, strict=True))
-
-        _, ax = jax.jvp(of_image, old, along)
-        (at_points,) = jax.vjp(of_point, point)[1](weighted(ax))
-        stored = chunk.window(factors)
-        factor = PointFactor(*(stored[:, k * n : (k + 1) * n] for k in range(6)))
-        own = (jnp.arange(chunk.most_tiles) < chunk.tile_count)[:, None]
-        x, y, z = sum_by_tile(list(at_points), chunk)
-        u = [jnp.where(own, c, 0.0) for c in backward(factor, forward(factor, (x, y, z)))]
-        ux, uy, uz = (jnp.take(c, chunk.tile, axis=0, mode="clip") for c in u)
-        _, bu = jax.jvp(of_point, (point,), ((ux, uy, uz),))
-        left = weighted([a - b for a, b in zip(ax, bu, strict=True)])
-        by_rotation, by_centre, by_interior = jax.vjp(of_image, *old)[1](left)
-        rows = jnp.concatenate([*by_rotation, *by_centre, *by_interior], 1)
-        return sums.at[chunk.slot_image].add(rows, mode="promise_in_bounds")
-
-    sums = jnp.zeros_like(before)
-    for part in tiles:
-        sums = lax.fori_loop(0, part.chunks, partial(add_chunk, part), sums)
-    return sums
+    def _product(self, x: KeptVector) -> KeptVector:
+        p, o, system = self.problem, self.problem.observations, self.system
+        before = image_values(self.unknowns.images, o)
+        direction = image_values(direction_of(correction_of(x.images, x.border, p, self.unknowns), self.turns), o)
+        rows = reduced_product(o, before, direction, self.unknowns.tiles, self.factors, self.tiles, self.exact)
+        of_rays = kept_rows(lax.psum(rows, self.axis) if self.axis else rows, self.turns, p)
+        damped = KeptVector(system.diagonal * x.images, system.border_diagonal * x.border)
+        damped = jax.tree.map(lambda v: self.damping * v, damped)
+        return self._only_free(jax.tree.map(lambda *v: sum(v), kept_product(self.kept, x), of_rays, damped))
 
 
 def kept_product(kept: KeptSums, x: KeptVector) -> KeptVector:

@@ -15,6 +15,7 @@ from jaxtyping import Array, Float, Int
 
 from jaxbundle.block.residuals import Group, Observations
 from jaxbundle.block.unknowns import Unknowns
+from jaxbundle.camera.collinearity import Vector
 from jaxbundle.normals.eliminate import PAIRS, Shape
 from jaxbundle.normals.rows import GroupRows, ImageScalars, group_rows, ray_rows
 
@@ -63,14 +64,26 @@ def add_rows(
     sums: KeptSums, touched: list[Touched], residuals: Float[Array, "component member"], pairs: Array | None
 ) -> KeptSums:
     """Adds observations. `pairs`: the pool's block of the first two touched images, where they are two."""
-    for i, a in enumerate(touched):
+    for a in touched:
         gradient = jnp.einsum("cpm,cm->mp", a.rows, residuals)
         if a.in_border:
             sums = sums._replace(border_gradient=sums.border_gradient.at[a.at].add(gradient, mode="drop"))
         else:
             sums = sums._replace(gradient=sums.gradient.at[a.at].add(gradient))
+    return add_products(sums, touched, None, pairs)
+
+
+def add_products(
+    sums: KeptSums,
+    touched: list[Touched],
+    metric: Float[Array, "component component member"] | None,
+    pairs: Array | None,
+) -> KeptSums:
+    """Adds the products of all rows with all others, A^T A, or A^T M A where there is a metric."""
+    for i, a in enumerate(touched):
+        left = a.rows if metric is None else jnp.einsum("cpm,cdm->dpm", a.rows, metric)
         for j, b in enumerate(touched):
-            products = jnp.einsum("cpm,cqm->mpq", a.rows, b.rows)
+            products = jnp.einsum("cpm,cqm->mpq", left, b.rows)
             if a.in_border and b.in_border:
                 where = a.at[:, :, None], b.at[:, None, :]
                 sums = sums._replace(border=sums.border.at[where].add(products, mode="drop"))
@@ -154,6 +167,25 @@ def add_kept_rays(
     return add_rows(sums, *kept_ray_rows(rays, unknowns, turns, observations, shape), None)
 
 
+def kept_ray_values(
+    rays: KeptRays, unknowns: Unknowns, turns: Float[Array, "9 3 image"], observations: Observations
+) -> tuple[ImageScalars, Vector]:
+    """What every ray of a kept point depends on; one without weight gets a point in front of its camera."""
+    turn = turns[:, :, rays.image]
+    centre = tuple(unknowns.centre[:, rays.image])
+    rotation = tuple(unknowns.rotation[:, rays.image])
+    used = (rays.weights[0] > 0) | (rays.weights[1] > 0)
+    ahead = [x - r for x, r in zip(centre, rotation[2::3], strict=True)]
+    point = [jnp.where(used, x, s) for x, s in zip(unknowns.points[:, rays.point], ahead, strict=True)]
+    image = ImageScalars(
+        rotation,
+        (tuple(turn[:, 0]), tuple(turn[:, 1]), tuple(turn[:, 2])),
+        (centre[0], centre[1], centre[2]),
+        tuple(unknowns.interior[:, observations.image_camera[rays.image]]),
+    )
+    return image, (point[0], point[1], point[2])
+
+
 def kept_ray_rows(
     rays: KeptRays,
     unknowns: Unknowns,
@@ -162,35 +194,29 @@ def kept_ray_rows(
     shape: Shape,
 ) -> tuple[list[Touched], Float[Array, "2 ray"]]:
     """Weighted rows and residuals of the rays of kept points."""
-    turn = turns[:, :, rays.image]
-    camera = observations.image_camera[rays.image]
-    centre = tuple(unknowns.centre[:, rays.image])
-    rotation = tuple(unknowns.rotation[:, rays.image])
-    used = (rays.weights[0] > 0) | (rays.weights[1] > 0)
-    ahead = [x - r for x, r in zip(centre, rotation[2::3], strict=True)]
-    point = [jnp.where(used, x, s) for x, s in zip(unknowns.points[:, rays.point], ahead, strict=True)]
-    scalars = ImageScalars(
-        rotation,
-        (tuple(turn[:, 0]), tuple(turn[:, 1]), tuple(turn[:, 2])),
-        (centre[0], centre[1], centre[2]),
-        tuple(unknowns.interior[:, camera]),
-    )
-    rows = ray_rows(
-        observations.model,
-        observations.columns,
-        scalars,
-        (point[0], point[1], point[2]),
-        (rays.measured[0], rays.measured[1]),
-        (rays.weights[0], rays.weights[1]),
-    )
+    image, point = kept_ray_values(rays, unknowns, turns, observations)
+    measured, weights = (rays.measured[0], rays.measured[1]), (rays.weights[0], rays.weights[1])
+    rows = ray_rows(observations.model, observations.columns, image, point, measured, weights)
     of_image = jnp.stack([jnp.stack(row) for row in rows.image])
     of_point = jnp.stack([jnp.stack(row) for row in rows.point])
+    return touched_by_rays(rays, of_image, of_point, observations, shape), jnp.stack(rows.residual)
+
+
+def touched_by_rays(
+    rays: KeptRays,
+    of_image: Float[Array, "component unknown ray"],
+    of_point: Float[Array, "component 3 ray"],
+    observations: Observations,
+    shape: Shape,
+) -> list[Touched]:
+    """Where the rows of the rays of kept points belong."""
     first = shape.first_kept_point + 3 * rays.point
     touched = [
         Touched(of_image[:, : shape.image], False, rays.image),
         Touched(of_point, True, first[:, None] + jnp.arange(3)),
     ]
     if shape.shared:
+        camera = observations.image_camera[rays.image]
         columns = shape.shared * camera[:, None] + jnp.arange(shape.shared)
         touched.append(Touched(of_image[:, shape.image :], True, columns))
-    return touched, jnp.stack(rows.residual)
+    return touched

@@ -3,10 +3,12 @@
     v = A dt + B dX        A: six elements of the image (X0, Y0, Z0, three angles), then the estimated interior elements
                            B: X, Y, Z of the object point
 
-What depends on the image alone, the rotation matrix, is differentiated once an image; two vector-Jacobian products a
-ray give the rest. All quantities are scalars, which may be arrays of any one shape.
+What depends on the image alone, the rotation matrix, is differentiated once an image. The photo vector stands between
+the camera and everything else: two vector-Jacobian products a ray give the rows of the camera, the chain rule the rest.
+All quantities are scalars, which may be arrays of any one shape.
 """
 
+from collections.abc import Callable
 from typing import Any, NamedTuple
 
 import jax
@@ -49,6 +51,45 @@ def image_equation(
     return model.residual(interior, photo_vector(rotation, centre, point), measured)
 
 
+class PhotoVector(NamedTuple):
+    """The photo vector of a ray and its derivatives by three angles; with each the transposed derivative by the object
+    point, that takes a gradient by the photo vector to one by X, Y, Z."""
+
+    value: Vector
+    to_point: Callable[[Vector], Vector]
+    turned: list[Vector]
+    turned_to_point: list[Callable[[Vector], Vector]]
+
+
+def photo_vector_derivatives(image: ImageScalars, point: Vector) -> PhotoVector:
+    """Of one ray."""
+
+    def with_transposed(of_point: Callable[[Vector], Vector]) -> tuple[Vector, Callable[[Vector], Vector]]:
+        value, transposed = jax.vjp(of_point, point)
+        return value, lambda gradient: transposed(gradient)[0]
+
+    def along(turn: Rotation) -> Callable[[Vector], Vector]:
+        return lambda x: jax.jvp(lambda r: photo_vector(r, image.centre, x), (image.rotation,), (turn,))[1]
+
+    value, to_point = with_transposed(lambda x: photo_vector(image.rotation, image.centre, x))
+    turned = [with_transposed(along(turn)) for turn in image.rotation_derivatives]
+    return PhotoVector(value, to_point, [t for t, _ in turned], [back for _, back in turned])
+
+
+def camera_equation(
+    model: CameraModel, columns: tuple[int, ...], image: ImageScalars, measured: ImagePoint
+) -> Callable[[Vector, tuple[Scalar, ...]], ImagePoint]:
+    """Residual of an image point as a function of photo vector and estimated interior elements."""
+
+    def equation(vector: Vector, estimated: tuple[Scalar, ...]) -> ImagePoint:
+        interior = list(image.interior)
+        for column, value in zip(columns, estimated, strict=True):
+            interior[column] = value
+        return model.residual(tuple(interior), vector, measured)
+
+    return equation
+
+
 def ray_rows(
     model: CameraModel,
     columns: tuple[int, ...],
@@ -58,30 +99,24 @@ def ray_rows(
     weights: ImagePoint,
 ) -> RayRows:
     """Residual and rows of a ray, times the square roots of its weights; `columns`: estimated interior elements."""
-
-    def equation(rotation: Rotation, estimated: tuple[Scalar, ...], point: Vector) -> ImagePoint:
-        interior = list(image.interior)
-        for column, value in zip(columns, estimated, strict=True):
-            interior[column] = value
-        return image_equation(model, rotation, image.centre, tuple(interior), point, measured)
-
+    p = photo_vector_derivatives(image, point)
     estimated = tuple(image.interior[column] for column in columns)
-    v, transposed = jax.vjp(equation, image.rotation, estimated, point)
+    v, transposed = jax.vjp(camera_equation(model, columns, image, measured), p.value, estimated)
     zero = jnp.zeros_like(weights[0])
     image_rows, point_rows = [], []
     for unit in ((weights[0], zero), (zero, weights[1])):
-        by_rotation, by_interior, by_point = transposed(unit)
-        by_angles = [chained(by_rotation, turn) for turn in image.rotation_derivatives]
+        by_vector, by_interior = transposed(unit)
+        by_point = p.to_point(by_vector)
         # the equation contains X - X0 only
-        image_rows.append([*(-b for b in by_point), *by_angles, *by_interior])
+        image_rows.append([*(-b for b in by_point), *(chained(by_vector, t) for t in p.turned), *by_interior])
         point_rows.append(by_point)
     residual = v[0] * weights[0], v[1] * weights[1]
     return RayRows(residual, (image_rows[0], image_rows[1]), (point_rows[0], point_rows[1]))
 
 
-def chained(by_rotation: Rotation, turn: Rotation) -> Scalar:
-    """Derivative by an angle from the derivatives by the nine elements of the matrix."""
-    return sum(g * d for g, d in zip(by_rotation, turn, strict=True))
+def chained(gradient: tuple[Scalar, ...], direction: tuple[Scalar, ...]) -> Scalar:
+    """Derivative along a direction from the derivatives by the elements."""
+    return sum(g * d for g, d in zip(gradient, direction, strict=True))
 
 
 class GroupRows(NamedTuple):

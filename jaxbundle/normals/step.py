@@ -13,22 +13,22 @@ from typing import Any, NamedTuple
 import equinox as eqx
 import jax
 import jax.numpy as jnp
-import numpy as np
 from jax import lax
 from jax.sharding import NamedSharding, PartitionSpec
 from jaxtyping import Array, Bool, Float
 
 from jaxbundle.block.residuals import Observations, group_residuals, weighted
-from jaxbundle.block.unknowns import Correction, Unknowns, attitude_derivatives, corrected
+from jaxbundle.block.unknowns import Unknowns, attitude_curvature, attitude_derivatives, corrected
 from jaxbundle.normals.arrange import Arranged, Problem
 from jaxbundle.normals.cells import Tiles
 from jaxbundle.normals.eliminate import ImageSums, eliminate, image_table
-from jaxbundle.normals.implicit import MOST_ITERATIONS, TOLERANCE, KeptVector, kept_product, ray_product
+from jaxbundle.normals.implicit import ImplicitEquations
 from jaxbundle.normals.kept import KeptSums, add_group, add_kept_rays, no_sums
-from jaxbundle.normals.reduced_system import ReducedSystem, factorise, solve, step
+from jaxbundle.normals.kept_curvature import add_curvature
+from jaxbundle.normals.kept_vector import KeptVector, correction_of, direction_of, kept_free
+from jaxbundle.normals.reduced_system import ReducedSystem, factorise, step
 from jaxbundle.normals.rows import image_equation
 from jaxbundle.normals.substitute import image_values, split_values, substitute
-from jaxbundle.numerics.conjugate_gradients import conjugate_gradients
 from jaxbundle.numerics.devices import AXIS, device_mesh, put
 
 
@@ -54,10 +54,12 @@ class Linearised(NamedTuple):
     table: Float[Array, "image number"]
     kept: KeptSums
     prior: Float[Array, "9 tile column"] | None
+    bends: Float[Array, "9 3 3 image"] | None = None  # second derivatives of the rotations, where those are wanted
 
 
-def linearise(unknowns: Arranged, p: Problem) -> Linearised:
-    """Tables of the images, and the observations that are no rays of eliminated points."""
+def linearise(unknowns: Arranged, p: Problem, exact: bool = False) -> Linearised:
+    """Tables of the images, and the observations that are no rays of eliminated points; `exact`: with all second
+    derivatives."""
     o, images, shape = p.observations, unknowns.images, p.shape
     turns = attitude_derivatives(images.rotation, o.in_angles, o.system)
     two_images = any(pairs is not None for pairs in p.group_pairs)
@@ -68,8 +70,11 @@ def linearise(unknowns: Arranged, p: Problem) -> Linearised:
     prior = jnp.zeros((9, unknowns.tiles.shape[1] * unknowns.tiles.shape[2])) if on_points else None
     for group, pairs in zip(o.groups, p.group_pairs, strict=True):
         sums, prior = add_group(sums, prior, group, pairs, flat, turns, o, shape, p.point_column, p.camera_image)
+    bends = attitude_curvature(images.rotation, o.in_angles, o.system) if exact else None
+    if bends is not None:
+        sums, prior = add_curvature(sums, prior, images, flat, turns, bends, p)
     table = image_table(images, turns, o)
-    return Linearised(turns, table, sums, None if prior is None else prior.reshape(9, *unknowns.tiles.shape[1:]))
+    return Linearised(turns, table, sums, None if prior is None else prior.reshape(9, *unknowns.tiles.shape[1:]), bends)
 
 
 class Reduced(NamedTuple):
@@ -114,34 +119,6 @@ def reduced_system(rays: ImageSums, kept: KeptSums, p: Problem) -> Reduced:
     return Reduced(system, gradient, border_gradient)
 
 
-def kept_free(p: Problem) -> KeptVector:
-    """Which kept unknowns are free."""
-    o, shape = p.observations, p.shape
-    images = o.exterior_free.T if shape.image == 6 else jnp.concatenate([o.exterior_free, o.interior_free]).T
-    interior = o.interior_free.T.ravel() if shape.first_parameter else jnp.zeros(0, bool)
-    points = o.point_free[:, o.point_free.shape[1] - shape.kept :].T.ravel()
-    return KeptVector(images, jnp.concatenate([interior, o.parameter_free, points]))
-
-
-def correction_of(
-    images: Float[Array, "image d"], border: Float[Array, " border"], p: Problem, unknowns: Arranged
-) -> Correction:
-    """A step of the kept unknowns as a correction of them."""
-    o, (d, q, cameras, *_) = p.observations, p.shape
-    by_camera = images[:, 6:] if d > 6 else border[: q * cameras].reshape(cameras, q)
-    interior = jnp.zeros_like(unknowns.images.interior)
-    if o.columns:
-        interior = interior.at[np.array(o.columns)].set(by_camera.T)
-    parameters, points = jnp.split(border[q * cameras :], [p.shape.parameters])
-    return Correction(images[:, :6].T, interior, parameters, points.reshape(-1, 3).T)
-
-
-def direction_of(correction: Correction, turns: Float[Array, "9 3 image"]) -> Unknowns:
-    """The correction as a direction in the space of the unknowns."""
-    turned = jnp.sum(turns * correction.exterior[3:], 1)
-    return Unknowns(turned, correction.exterior[:3], correction.interior, correction.parameters, correction.points)
-
-
 class _RayPart(NamedTuple):
     """What the tiles say of a step."""
 
@@ -170,7 +147,8 @@ def _on_device(
     )
     system, gradient, border_gradient = reduced_system(total(rays), linear.kept, p)
     if p.shape.implicit:
-        images, border = _solve_implicitly(unknowns, linear, damping, p, tiles, factors, system, axis)
+        equations = ImplicitEquations(unknowns, linear.turns, linear.kept, system, factors, damping, p, tiles, axis)
+        images, border = equations.solve(KeptVector(system.right, system.border_right))
     else:
         images, border = step(p.reduced, factorise(p.reduced, system, damping))
     correction = correction_of(images, border, p, unknowns)
@@ -190,55 +168,6 @@ def _on_device(
         damped_step + damping * squares,
         jnp.isfinite(jnp.sum(images)) & jnp.isfinite(jnp.sum(border)) & jnp.isfinite(reduction),
     )
-
-
-def kept_rows(rows: Float[Array, "image number"], turns: Float[Array, "9 3 image"], p: Problem) -> KeptVector:
-    """Sums over rays, by the numbers of `image_values`, as sums by the kept unknowns."""
-    o, (d, q, *_) = p.observations, p.shape
-    angles = jnp.einsum("eai,ie->ia", turns, rows[:, :9])
-    interior = rows[:, 12:][:, np.array(o.columns, int)]
-    border = jnp.zeros(p.shape.border)
-    if d == 6 and q:
-        border = border.at[q * o.image_camera[:, None] + jnp.arange(q)].add(interior)
-    parts = [rows[:, 9:12], angles] + ([interior] if d > 6 else [])
-    return KeptVector(jnp.concatenate(parts, 1), border)
-
-
-def _solve_implicitly(
-    unknowns: Arranged,
-    linear: Linearised,
-    damping: Array,
-    p: Problem,
-    tiles: tuple[Tiles, ...],
-    factors: Array,
-    system: ReducedSystem,
-    axis: str | None,
-) -> KeptVector:
-    """The step of the kept unknowns by conjugate gradients."""
-    o = p.observations
-    # with the coupling, but without the blocks of pairs of images, it might not be positive
-    diagonal = eqx.tree_at(lambda s: s.coupling, system, jnp.zeros_like(system.coupling))
-    factor = factorise(p.reduced, diagonal, damping)
-    before = image_values(unknowns.images, o)
-    free = KeptVector(system.free, system.border_free)
-    damped = KeptVector(damping * system.diagonal, damping * system.border_diagonal)
-
-    def only_free(x: KeptVector) -> KeptVector:
-        return jax.tree.map(lambda f, v: jnp.where(f, v, 0.0), free, x)
-
-    def product(x: KeptVector) -> KeptVector:
-        direction = direction_of(correction_of(x.images, x.border, p, unknowns), linear.turns)
-        rows = ray_product(o, before, image_values(direction, o), unknowns.tiles, factors, tiles)
-        of_rays = kept_rows(lax.psum(rows, axis) if axis else rows, linear.turns, p)
-        x_damped = KeptVector(damped.images * x.images, damped.border * x.border)
-        return only_free(jax.tree.map(lambda *parts: sum(parts), kept_product(linear.kept, x), of_rays, x_damped))
-
-    def precondition(r: KeptVector) -> KeptVector:
-        images, border = solve(p.reduced, factor, r.images[..., None], r.border[:, None])
-        return KeptVector(images[..., 0], border[:, 0])
-
-    right = only_free(KeptVector(system.right, system.border_right))
-    return conjugate_gradients(product, precondition, right, KeptVector.dot, TOLERANCE, MOST_ITERATIONS)[0]
 
 
 def local_tiles(tiles: tuple[Tiles, ...]) -> tuple[Tiles, ...]:

@@ -20,9 +20,9 @@ from jaxtyping import Array, Bool
 
 from jaxbundle.block.unknowns import Unknowns, corrected
 from jaxbundle.normals.arrange import Arranged, Problem
-from jaxbundle.normals.hessian import solve_hessian
+from jaxbundle.normals.kept_vector import correction_of, kept_free
 from jaxbundle.normals.solution import solve_normals
-from jaxbundle.normals.step import correction_of, kept_free, weighted_residuals
+from jaxbundle.normals.step import weighted_residuals
 from jaxbundle.normals.vector import NormalVector
 from jaxbundle.numerics.compilation import Compiled
 
@@ -123,10 +123,8 @@ def _solve(x: Arranged, start: Arranged, p: Problem, right: NormalVector, deriva
         return ravel_pytree(jax.vjp(residuals, zero)[1](along)[0])[0]
 
     def by_elimination(_, b: Array) -> Array:
-        if derivatives == "exact":
-            return ravel_pytree(solve_hessian(*constant, vector(b)))[0]
-        solution = solve_normals(*constant, jax.tree.map(lambda part: part[None], vector(b)))
-        return ravel_pytree(solution)[0]
+        right = jax.tree.map(lambda part: part[None], vector(b))
+        return ravel_pytree(solve_normals(*constant, right, exact=derivatives == "exact"))[0]
 
     constant = lax.stop_gradient((_held(x, start, p), p))
     product = exact if derivatives == "exact" else gauss_newton

@@ -26,9 +26,9 @@ from parts_worker import arranged, parts_of  # noqa: E402
 
 from jaxbundle.io import read_bal  # noqa: E402
 from jaxbundle.normals.arrange import Problem  # noqa: E402
-from jaxbundle.normals.implicit import ray_product  # noqa: E402
 from jaxbundle.normals.ordering import elimination_order, ranked_pairs  # noqa: E402
 from jaxbundle.normals.panel_cholesky import PanelCholesky  # noqa: E402
+from jaxbundle.normals.ray_products import reduced_product  # noqa: E402
 from jaxbundle.normals.reduced_plan import panel_width  # noqa: E402
 from jaxbundle.normals.step import local_tiles, trial_step  # noqa: E402
 from jaxbundle.normals.substitute import image_values  # noqa: E402
@@ -95,8 +95,8 @@ def measured(path: Path) -> Constants:
     time_of = {name: seconds(part) for name, part in parts.items()}
     _, _, factors = parts["linearise, eliminate"]()
     values, tiles = image_values(unknowns.images, p.observations), local_tiles(p.tiles)
-    product = eqx.filter_jit(ray_product)
-    per_product = seconds(lambda: product(p.observations, values, values, unknowns.tiles, factors, tiles))
+    product = eqx.filter_jit(reduced_product)
+    per_product = seconds(lambda: product(p.observations, values, values, unknowns.tiles, factors, tiles, False))
     step: Any = eqx.filter_jit(trial_step)
     memory = step.lower(unknowns, p, damping).compile().compiled.memory_analysis()
     reduced = FLOAT * p.shape.image**2 * p.shape.pool

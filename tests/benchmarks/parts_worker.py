@@ -31,12 +31,11 @@ from jaxbundle.io import read_bal  # noqa: E402
 from jaxbundle.normals.arrange import Arranged, Problem, arrange, arranged_unknowns, problem  # noqa: E402
 from jaxbundle.normals.cofactors import cofactors  # noqa: E402
 from jaxbundle.normals.eliminate import eliminate  # noqa: E402
+from jaxbundle.normals.kept_vector import correction_of, direction_of  # noqa: E402
 from jaxbundle.normals.reduced_plan import Method  # noqa: E402
 from jaxbundle.normals.reduced_system import ReducedSystem, factorise, step  # noqa: E402
 from jaxbundle.normals.step import (  # noqa: E402
     Linearised,
-    correction_of,
-    direction_of,
     linearise,
     local_tiles,
     partition,

@@ -1,4 +1,4 @@
-"""Equations with all second derivatives: H times the solution, H by autodiff of the whole sum, is the right side."""
+"""Equations solved: H or N times the solution, by autodiff of all residuals in one piece, is the right side."""
 
 from functools import partial
 
@@ -6,13 +6,15 @@ import jax
 import jax.numpy as jnp
 import numpy as np
 import pytest
+from heterogeneous import PAIRS, case, drawn
 from simulated import small_block
 from test_elimination import BLOCKS, with_distances
 
 from jaxbundle.block.block import Block
 from jaxbundle.block.unknowns import unknowns_of
 from jaxbundle.normals.arrange import arrange, arranged_unknowns, problem
-from jaxbundle.normals.hessian import solve_hessian
+from jaxbundle.normals.reduced_plan import Method
+from jaxbundle.normals.solution import solve_normals
 from jaxbundle.normals.step import weighted_residuals
 from jaxbundle.normals.vector import NormalVector, arranged_vectors
 from jaxbundle.numerics.compilation import QUICKLY
@@ -23,12 +25,12 @@ from jaxbundle.solve.implicit import moved, zero_vector
 compiled = partial(jax.jit, compiler_options=QUICKLY)
 
 
-def assert_solved(block: Block, devices: int) -> None:
+def assert_solved(block: Block, devices: int, reduced: Method = "auto") -> None:
     """At the minimum of a block with errors of some sigmas, for a vector of the size of the standard deviations."""
     result = adjust(block)
     block, sd, structure = result.block, result.standard_deviations, block.structure
     centres = np.asarray(block.exterior.projection_centre)
-    plan = arrange(structure, block.groups, centres, devices, "panels" if devices > 1 else "auto")
+    plan = arrange(structure, block.groups, centres, devices, reduced)
     block = block.moved(-centres.mean(0))
     x, p = arranged_unknowns(plan, unknowns_of(block)), problem(plan, block)
     interior = np.asarray(sd.interior)[None, :, list(structure.interior_columns)]
@@ -38,13 +40,24 @@ def assert_solved(block: Block, devices: int) -> None:
     rng = np.random.default_rng(1)
     expected = jax.tree.map(lambda s: jnp.asarray(rng.standard_normal(s.shape[1:])) * s[0], scale)
 
-    def cost(d: NormalVector) -> jax.Array:
-        return 0.5 * sum((jnp.sum(v * v) for v in weighted_residuals(moved(x, p, d), p)), jnp.zeros(()))
+    def residuals(d: NormalVector) -> list[jax.Array]:
+        return weighted_residuals(moved(x, p, d), p)
 
-    right = compiled(lambda d: jax.jvp(jax.grad(cost), (zero_vector(p),), (d,))[1])(expected)
-    found = compiled(solve_hessian)(x, p, right)
-    for d, known, s in zip(found, expected, scale, strict=True):
-        np.testing.assert_allclose((d - known) / np.where(s[0] == 0, 1.0, s[0]), 0.0, atol=1e-6)
+    def cost(d: NormalVector) -> jax.Array:
+        return 0.5 * sum((jnp.sum(v * v) for v in residuals(d)), jnp.zeros(()))
+
+    def hessian(d: NormalVector) -> NormalVector:
+        return jax.jvp(jax.grad(cost), (zero_vector(p),), (d,))[1]
+
+    def normals(d: NormalVector) -> NormalVector:
+        along = jax.jvp(residuals, (zero_vector(p),), (d,))[1]
+        return jax.vjp(residuals, zero_vector(p))[1](along)[0]
+
+    for product, exact in ((hessian, True), (normals, False)):
+        right = jax.tree.map(lambda b: b[None], compiled(product)(expected))
+        found = compiled(partial(solve_normals, exact=exact))(x, p, right)
+        for d, known, s in zip(found, expected, scale, strict=True):
+            np.testing.assert_allclose((d[0] - known) / np.where(s[0] == 0, 1.0, s[0]), 0.0, atol=1e-6)
 
 
 @pytest.mark.parametrize("name", BLOCKS)
@@ -52,5 +65,15 @@ def test_solution(name):
     assert_solved(BLOCKS[name](small_block(noise=3.0).block), 1)
 
 
+@pytest.mark.parametrize("name", PAIRS)
+def test_solution_with_observations_of_all_kinds(name):
+    assert_solved(drawn(case(name), jax.random.key(1)), 1)
+
+
+@pytest.mark.parametrize("name", ["shared camera", "private cameras"])
+def test_solution_by_conjugate_gradients(name):
+    assert_solved(BLOCKS[name](small_block(noise=3.0).block), 1, "pcg")
+
+
 def test_solution_on_devices():
-    assert_solved(with_distances(small_block(noise=3.0).block), 4)
+    assert_solved(with_distances(small_block(noise=3.0).block), 4, "panels")
