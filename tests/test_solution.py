@@ -14,8 +14,8 @@ from jaxbundle.block.block import Block
 from jaxbundle.block.unknowns import unknowns_of
 from jaxbundle.normals.arrange import arrange, arranged_unknowns, problem
 from jaxbundle.normals.reduced_plan import Method
+from jaxbundle.normals.residuals import weighted_residuals
 from jaxbundle.normals.solution import solve_normals
-from jaxbundle.normals.step import weighted_residuals
 from jaxbundle.normals.vector import NormalVector, arranged_vectors
 from jaxbundle.numerics.compilation import QUICKLY
 from jaxbundle.numerics.host import on_device

@@ -19,12 +19,20 @@ from jaxtyping import Array, Float
 from jaxbundle.normals.arrange import Arranged, Problem
 from jaxbundle.normals.cells import Tiles
 from jaxbundle.normals.eliminate import Eliminated, border_rows, coupling_rows, eliminate, eliminate_chunk
-from jaxbundle.normals.leverage import KeptCofactors, cell_leverages, group_leverages, kept_ray_leverages
+from jaxbundle.normals.leverage import (
+    CellProducts,
+    KeptCofactors,
+    cell_leverages,
+    cell_products,
+    group_leverages,
+    kept_ray_leverages,
+)
+from jaxbundle.normals.partition import local_tiles
 from jaxbundle.normals.point_blocks import PointFactor, backward
 from jaxbundle.normals.products import contracted
 from jaxbundle.normals.reduced_system import ReducedSystem, factorise
 from jaxbundle.normals.reduced_system import cofactors as reduced_cofactors
-from jaxbundle.normals.step import Linearised, linearise, local_tiles, partition, reduced_system
+from jaxbundle.normals.step import Linearised, linearise, partition, reduced_system
 from jaxbundle.numerics.devices import AXIS, device_mesh
 
 
@@ -75,8 +83,16 @@ def cofactors(unknowns: Arranged, p: Problem) -> Cofactors:
 def _on_device(
     unknowns: Arranged, linear: Linearised, p: Problem, free: Array, axis: str | None
 ) -> tuple[KeptCofactors, tuple[Array, Array], ReducedSystem, _OfTiles]:
-    zero = jnp.zeros(())
     tiles = local_tiles(p.tiles)
+    q, pivots, system = kept_cofactors(unknowns, linear, p, free, tiles, axis)
+    return q, pivots, system, _of_tiles(unknowns, linear, p, free, tiles, q)
+
+
+def kept_cofactors(
+    unknowns: Arranged, linear: Linearised, p: Problem, free: Array, tiles: tuple[Tiles, ...], axis: str | None
+) -> tuple[KeptCofactors, tuple[Array, Array], ReducedSystem]:
+    """Cofactors of the kept unknowns, shares of their pivots, and the reduced equations."""
+    zero = jnp.zeros(())
     rays, _ = eliminate(
         p.observations, linear.table, unknowns.tiles, linear.prior, free, zero, tiles, p.shape, p.diagonal_pair
     )
@@ -85,7 +101,7 @@ def _on_device(
     found = reduced_cofactors(p.reduced, factor)
     pool = found.pool.at[-1].set(0.0)
     q = KeptCofactors(pool[p.diagonal_pair], pool, found.coupling, found.border)
-    return q, (factor.pivots, factor.border_pivots), system, _of_tiles(unknowns, linear, p, free, tiles, q)
+    return q, (factor.pivots, factor.border_pivots), system
 
 
 def _with_others(
@@ -114,7 +130,7 @@ def _of_tiles(
 ) -> _OfTiles:
     """All chunks of one device, part by part."""
     n = unknowns.tiles.shape[2]
-    halved = q.pool.at[p.diagonal_pair].multiply(0.5).at[-1].set(0.0)
+    halved = halved_pool(q, p)
 
     def do_chunk(part: Tiles, c: Array, carry: tuple[Array, Array]) -> tuple[Array, Array]:
         store, cells = carry
@@ -131,6 +147,11 @@ def _of_tiles(
     return _OfTiles(points, store[:, 9 * n :], leverages)
 
 
+def halved_pool(q: KeptCofactors, p: Problem) -> Float[Array, "pair d d"]:
+    """T of every pair of images."""
+    return q.pool.at[p.diagonal_pair].multiply(0.5).at[-1].set(0.0)
+
+
 def _of_chunk(
     unknowns: Arranged,
     linear: Linearised,
@@ -142,6 +163,23 @@ def _of_chunk(
     c: Array,
 ) -> tuple[tuple[Array, Array], Float[Array, "2 slot n"]]:
     """Rows of the chunk's points and where they begin; leverages of its cells."""
+    e, matrix, products = cofactors_of_chunk(unknowns, linear, p, free, part, q, halved, c)
+    blocks, pivot = _point_blocks(e, matrix)
+    rows = jnp.concatenate([blocks.reshape(-1, 9 * unknowns.tiles.shape[2]), pivot], 1)
+    return (rows, e.chunk.first_tile), jnp.stack(cell_leverages(e, products))
+
+
+def cofactors_of_chunk(
+    unknowns: Arranged,
+    linear: Linearised,
+    p: Problem,
+    free: Array,
+    part: Tiles,
+    q: KeptCofactors,
+    halved: Float[Array, "pair d d"],
+    c: Array,
+) -> tuple[Eliminated, Float[Array, "tile 3 3 n"], tuple[CellProducts, CellProducts]]:
+    """The chunk eliminated again, C of its points, and Q times the rows of its cells."""
     assert part.products is not None
     o, shape, n = p.observations, p.shape, unknowns.tiles.shape[2]
     d, inner = shape.image, shape.first_parameter
@@ -164,10 +202,7 @@ def _of_chunk(
     by_slot = contracted(coupling.reshape(-1, d, 3, n), g)
     m = jnp.zeros((part.most_tiles, 3, 3, n)).at[e.chunk.tile].add(by_slot) + own_border
     matrix = m + jnp.eye(3)[:, :, None]
-    blocks, pivot = _point_blocks(e, matrix)
-    rows = jnp.concatenate([blocks.reshape(-1, 9 * n), pivot], 1)
-    leverages = cell_leverages(e, q, g, border_g, matrix, o.image_camera, shape)
-    return (rows, e.chunk.first_tile), jnp.stack(leverages)
+    return e, matrix, cell_products(e, q, g, border_g, matrix, o.image_camera, shape)
 
 
 def _point_blocks(e: Eliminated, c: Float[Array, "tile 3 3 n"]) -> tuple[Float[Array, "tile 3 3 n"], Array]:

@@ -2,12 +2,12 @@
 
 With weighted rows a of the kept unknowns and b of an eliminated point, V = L L^T, h = L^-1 b^T, G = Q_kk E,
 
-    a Q_kk a^T + 2 a Q_kX b^T + b Q_XX b^T  =  a Q_kk a^T - 2 a G h + h^T C h,      C = I + E^T Q_kk E
+    a Q_kk a^T + 2 a Q_kX b^T + b Q_XX b^T  =  a (Q_kk a^T - G h) + h^T (C h - G^T a^T),      C = I + E^T Q_kk E
 
-so a ray needs what its tile has at hand, and Q is never formed.
+so a ray needs what its tile has at hand, and Q is never formed. The factors in brackets are Q times the row.
 """
 
-from typing import NamedTuple
+from typing import Any, NamedTuple
 
 import jax.numpy as jnp
 from jaxtyping import Array, Float
@@ -30,7 +30,16 @@ class KeptCofactors(NamedTuple):
     border: Float[Array, "border border"]
 
 
-def cell_leverages(
+class CellProducts(NamedTuple):
+    """Q of a row of all cells of a chunk: by the unknowns of the image, those of a shared camera, and the point,
+    C h - G^T a, which L^-T turns to X, Y, Z."""
+
+    image: Rows
+    camera: Rows
+    point: Rows
+
+
+def cell_products(
     e: Eliminated,
     q: KeptCofactors,
     g: Float[Array, "slot d 3 n"],
@@ -38,8 +47,8 @@ def cell_leverages(
     c: Float[Array, "tile 3 3 n"],
     camera: Array,
     shape: Shape,
-) -> tuple[Float[Array, "slot n"], Float[Array, "slot n"]]:
-    """Of x and of y of all cells of a chunk. `border_g`: G of the rows of the slot's own camera in the border."""
+) -> tuple[CellProducts, CellProducts]:
+    """Of the rows of x and of y. `border_g`: G of the rows of the slot's own camera in the border."""
     slot_image, d, shared = e.chunk.slot_image, shape.image, shape.shared
     own = jnp.take(q.images, slot_image, axis=0, mode="clip")[..., None]
     at_slot = jnp.take(c, e.chunk.tile, axis=0, mode="clip")
@@ -49,25 +58,37 @@ def cell_leverages(
         mixed = q.coupling[slot_image[:, None, None], jnp.arange(d)[:, None], columns[:, None, :]][..., None]
         inner = q.border[columns[:, :, None], columns[:, None, :]][..., None]
 
-    def leverage(rows: Rows, h: Rows) -> Array:
-        a, shared_a = rows[:d], rows[d:]
-        coupled = [sum(a[k] * g[:, k, j] for k in range(d)) for j in range(3)]
-        total = _form(a, own)
-        if border_g is not None:
-            coupled = [x + sum(b * border_g[:, k, j] for k, b in enumerate(shared_a)) for j, x in enumerate(coupled)]
-            total = total + _form(shared_a, inner)
-            total = total + 2 * sum(a[k] * b * mixed[:, k, j] for k in range(d) for j, b in enumerate(shared_a))
-        total = total - 2 * sum(x * y for x, y in zip(coupled, h, strict=True))
-        return total + sum(h[i] * h[j] * at_slot[:, i, j] for i in range(3) for j in range(3))
+    def product(rows: Rows, h: Rows) -> CellProducts:
+        a, b = rows[:d], rows[d:]
+        image = [_dot(a, own[:, k].swapaxes(0, 1)) - _dot(h, g[:, k].swapaxes(0, 1)) for k in range(d)]
+        point = [_dot(h, at_slot[:, j].swapaxes(0, 1)) - _dot(a, g[:, :, j].swapaxes(0, 1)) for j in range(3)]
+        if border_g is None:
+            return CellProducts(image, [], point)
+        image = [x + _dot(b, mixed[:, k].swapaxes(0, 1)) for k, x in enumerate(image)]
+        point = [x - _dot(b, border_g[:, :, j].swapaxes(0, 1)) for j, x in enumerate(point)]
+        of_camera = [
+            _dot(a, mixed[:, :, k].swapaxes(0, 1))
+            + _dot(b, inner[:, k].swapaxes(0, 1))
+            - _dot(h, border_g[:, k].swapaxes(0, 1))
+            for k in range(shared)
+        ]
+        return CellProducts(image, of_camera, point)
 
     (ax, ay), (hx, hy) = e.image_rows, e.h
-    return leverage(ax, list(hx)), leverage(ay, list(hy))
+    return product(ax, list(hx)), product(ay, list(hy))
 
 
-def _form(rows: Rows, q: Float[Array, "slot k k 1"]) -> Array:
-    """a Q a^T of every cell."""
-    twice = [(1 if i == j else 2) * rows[i] * rows[j] * q[:, i, j] for i in range(len(rows)) for j in range(i + 1)]
-    return sum(twice[1:], twice[0])
+def _dot(a: Rows, b: Any) -> Array:
+    return sum((x * y for x, y in zip(a[1:], b[1:], strict=True)), a[0] * b[0])
+
+
+def cell_leverages(e: Eliminated, products: tuple[CellProducts, CellProducts]) -> tuple[Array, Array]:
+    """Of x and of y of all cells of a chunk, (slot, n)."""
+    x, y = (
+        _dot([*rows, *h], [*q.image, *q.camera, *q.point])
+        for rows, h, q in zip(e.image_rows, e.h, products, strict=True)
+    )
+    return x, y
 
 
 def kept_ray_leverages(
@@ -77,7 +98,7 @@ def kept_ray_leverages(
     if rays.image.shape[0] == 0:
         return []
     touched, _ = kept_ray_rows(rays, unknowns, turns, o, shape)
-    return list(_leverages(touched, q, None))
+    return list(_leverages(touched, touched_products(touched, q, None)))
 
 
 def group_leverages(
@@ -94,20 +115,34 @@ def group_leverages(
 ) -> Float[Array, "component member"]:
     """Of all components of a group; `points`: cofactors of the eliminated points."""
     rows = group_rows(group, unknowns, turns, o.columns)
-    total = _leverages(touched_by_group(group, rows, shape, point_column, camera_image), q, pairs)
+    touched = touched_by_group(group, rows, shape, point_column, camera_image)
+    total = _leverages(touched, touched_products(touched, q, pairs))
     if group.kind.touches == ("point",):
-        own = points.at[:, :, group.indices[0]].get(mode="fill", fill_value=0.0)
-        total = total + jnp.einsum("cim,ijm,cjm->cm", rows.rows[0], own, rows.rows[0])
+        total = total + jnp.einsum("cim,cim->cm", rows.rows[0], point_products(group, rows.rows[0], points))
     return total
 
 
-def _leverages(touched: list[Touched], q: KeptCofactors, pairs: Array | None) -> Float[Array, "component member"]:
-    total = jnp.zeros(())
-    touched = [a for a in touched if q.border.size or not a.in_border]  # eliminated points have no place in a border
+def touched_products(touched: list[Touched], q: KeptCofactors, pairs: Array | None) -> list[Array]:
+    """Q of the rows, by every touched entity."""
+    products = []
     for a in touched:
-        for b in touched:
-            total = total + jnp.einsum("cpm,mpq,cqm->cm", a.rows, _between(a, b, q, pairs), b.rows)
-    return total
+        if a.in_border and not q.border.size:  # eliminated points have no place in a border
+            products.append(jnp.zeros_like(a.rows))
+            continue
+        there = [b for b in touched if q.border.size or not b.in_border]
+        products.append(sum(jnp.einsum("mpq,cqm->cpm", _between(a, b, q, pairs), b.rows) for b in there))
+    return products
+
+
+def point_products(group: Group, rows: Array, points: Float[Array, "3 3 place"]) -> Float[Array, "component 3 member"]:
+    """Q of the rows of observations of one eliminated point each."""
+    own = points.at[:, :, group.indices[0]].get(mode="fill", fill_value=0.0)
+    return jnp.einsum("ijm,cjm->cim", own, rows)
+
+
+def _leverages(touched: list[Touched], products: list[Array]) -> Float[Array, "component member"]:
+    terms = (jnp.einsum("cpm,cpm->cm", a.rows, product) for a, product in zip(touched, products, strict=True))
+    return sum(terms, jnp.zeros(()))
 
 
 def _between(a: Touched, b: Touched, q: KeptCofactors, pairs: Array | None) -> Float[Array, "member p q"]:

@@ -32,7 +32,7 @@ def _gradient(o: Observations, chunk: Chunk, image: Any, point: Vector, exact: b
 
     def equation(image: Any, point: Vector) -> ImagePoint:
         rotation, centre, interior = image
-        return image_equation(o.model, rotation, centre, interior, point, chunk.measured)
+        return image_equation(o.model, rotation, centre, interior, point, chunk.measured, chunk.zero)
 
     held = jax.vjp(equation, image, point)[1]
 

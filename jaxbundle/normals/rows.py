@@ -13,13 +13,14 @@ from typing import Any, NamedTuple
 
 import jax
 import jax.numpy as jnp
-from jaxtyping import Array, Float
+from jaxtyping import Array, Float, Int
 
 from jaxbundle.block.residuals import Group, touched_values, weighted
 from jaxbundle.block.unknowns import Unknowns
 from jaxbundle.camera.collinearity import Vector, photo_vector
 from jaxbundle.camera.model import CameraModel, ImagePoint
 from jaxbundle.geometry.rotation import Rotation, Scalar
+from jaxbundle.numerics.stored import stored
 
 
 class RayRows(NamedTuple):
@@ -46,9 +47,16 @@ def image_equation(
     interior: tuple[Scalar, ...],
     point: Vector,
     measured: ImagePoint,
+    zero: Int[Array, ""] | None = None,
 ) -> ImagePoint:
-    """Residual of an image point as a function of everything it depends on."""
-    return model.residual(interior, photo_vector(rotation, centre, point), measured)
+    """Residual of an image point as a function of everything it depends on.
+
+    With a `zero`, photo vector and residual are `stored`, and so are their derivatives, of which there are many.
+    """
+    vector = photo_vector(rotation, centre, point)
+    if zero is None:
+        return model.residual(interior, vector, measured)
+    return stored(model.residual(interior, stored(vector, zero), measured), zero)
 
 
 class PhotoVector(NamedTuple):

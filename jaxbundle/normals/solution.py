@@ -22,10 +22,11 @@ from jaxbundle.normals.eliminate import eliminate
 from jaxbundle.normals.implicit import ImplicitEquations
 from jaxbundle.normals.kept import KeptSums
 from jaxbundle.normals.kept_vector import KeptVector, correction_of, direction_of, kept_rows
+from jaxbundle.normals.partition import local_tiles
 from jaxbundle.normals.point_blocks import PointFactor, backward, forward
 from jaxbundle.normals.ray_products import to_images, to_points
 from jaxbundle.normals.reduced_system import ReducedFactor, factorise, solve
-from jaxbundle.normals.step import Linearised, linearise, local_tiles, partition, reduced_system
+from jaxbundle.normals.step import Linearised, linearise, partition, reduced_system
 from jaxbundle.normals.substitute import image_values
 from jaxbundle.normals.vector import NormalVector
 from jaxbundle.numerics.devices import AXIS, device_mesh

@@ -5,30 +5,26 @@
 The tiles are dealt to the devices, the sums over the images added up over them; all solve the reduced equations.
 """
 
-import dataclasses
-from collections.abc import Callable
 from functools import partial
 from typing import Any, NamedTuple
 
-import equinox as eqx
 import jax
 import jax.numpy as jnp
 from jax import lax
 from jax.sharding import NamedSharding, PartitionSpec
 from jaxtyping import Array, Bool, Float
 
-from jaxbundle.block.residuals import Observations, group_residuals, weighted
 from jaxbundle.block.unknowns import Unknowns, attitude_curvature, attitude_derivatives, corrected
 from jaxbundle.normals.arrange import Arranged, Problem
-from jaxbundle.normals.cells import Tiles
 from jaxbundle.normals.eliminate import ImageSums, eliminate, image_table
 from jaxbundle.normals.implicit import ImplicitEquations
 from jaxbundle.normals.kept import KeptSums, add_group, add_kept_rays, no_sums
 from jaxbundle.normals.kept_curvature import add_curvature
 from jaxbundle.normals.kept_vector import KeptVector, correction_of, direction_of, kept_free
+from jaxbundle.normals.partition import EVERYWHERE, OF_TILES, everywhere, local_tiles, problem_parts, unknown_parts
 from jaxbundle.normals.reduced_system import ReducedSystem, factorise, step
-from jaxbundle.normals.rows import image_equation
-from jaxbundle.normals.substitute import image_values, split_values, substitute
+from jaxbundle.normals.residuals import other_residuals
+from jaxbundle.normals.substitute import image_values, substitute
 from jaxbundle.numerics.devices import AXIS, device_mesh, put
 
 
@@ -170,19 +166,6 @@ def _on_device(
     )
 
 
-def local_tiles(tiles: tuple[Tiles, ...]) -> tuple[Tiles, ...]:
-    """A device's own tiles: the leading axis, of length 1 there, taken off."""
-    return tuple(_by_device(t, lambda x: x[0], lambda pair: pair) for t in tiles)
-
-
-def _by_device(tiles: Tiles, own: Callable, common: Callable) -> Tiles:
-    """`own` of what every device has for itself, `common` of the list of pairs, which all have in common."""
-    mapped = jax.tree.map(own, tiles)
-    if tiles.products is None:
-        return mapped
-    return eqx.tree_at(lambda t: t.products.pair, mapped, common(tiles.products.pair))
-
-
 def trial_step(unknowns: Arranged, p: Problem, damping: Float[Array, ""]) -> Trial:
     """Linearises, eliminates, solves, substitutes back and evaluates."""
     linear = linearise(unknowns, p)
@@ -208,18 +191,9 @@ def trial_step(unknowns: Arranged, p: Problem, damping: Float[Array, ""]) -> Tri
 
 
 def partition(unknowns: Arranged, linear: Linearised, p: Problem) -> tuple[Arranged, Linearised, Problem]:
-    """How the arguments of a step lie on the devices: tiles parted, all else everywhere."""
-    of_tiles: Any = PartitionSpec(None, AXIS)
-    tiles = tuple(_by_device(t, lambda _: PartitionSpec(AXIS), lambda _: PartitionSpec()) for t in p.tiles)
-    return (
-        Arranged(_everywhere(unknowns.images), of_tiles),
-        _everywhere(linear)._replace(prior=None if linear.prior is None else of_tiles),
-        dataclasses.replace(_everywhere(p), tiles=tiles),
-    )
-
-
-def _everywhere(tree: Any) -> Any:
-    return jax.tree.map(lambda _: PartitionSpec(), tree)
+    """How the arguments of a step lie on the devices."""
+    prior = None if linear.prior is None else OF_TILES
+    return unknown_parts(unknowns), everywhere(linear)._replace(prior=prior), problem_parts(p)
 
 
 def placed(unknowns: Arranged, p: Problem, state: Any) -> tuple[Arranged, Problem, Any]:
@@ -227,63 +201,21 @@ def placed(unknowns: Arranged, p: Problem, state: Any) -> tuple[Arranged, Proble
     if p.devices == 1:
         return unknowns, p, state
     mesh = device_mesh(p.devices)
-    nothing = Linearised(jnp.zeros(0), jnp.zeros(0), no_sums(0, 0, 0, None), None)
-    unknown_parts, _, problem_parts = partition(unknowns, nothing, p)
-    parts = unknown_parts, problem_parts, _everywhere(state)
+    parts = unknown_parts(unknowns), problem_parts(p), everywhere(state)
     where = jax.tree.map(lambda part: NamedSharding(mesh, part), parts, is_leaf=lambda x: isinstance(x, PartitionSpec))
     return jax.tree.map(put, (unknowns, p, state), where)
 
 
 def _on_devices(unknowns: Arranged, linear: Linearised, damping: Array, p: Problem, free: Array) -> _RayPart:
-    everywhere: Any = PartitionSpec()
-    of_tiles: Any = PartitionSpec(None, AXIS)
-    unknown_parts, linear_parts, problem_parts = partition(unknowns, linear, p)
-    out_specs = _RayPart(unknown_parts.images, of_tiles, *[everywhere] * 6)
+    parts = partition(unknowns, linear, p)
+    out_specs = _RayPart(parts[0].images, OF_TILES, *[EVERYWHERE] * 6)
     return jax.shard_map(
         partial(_on_device, axis=AXIS),
         mesh=device_mesh(p.devices),
-        in_specs=(unknown_parts, linear_parts, everywhere, problem_parts, of_tiles),
+        in_specs=(parts[0], parts[1], EVERYWHERE, parts[2], OF_TILES),
         out_specs=out_specs,
         check_vma=False,
     )(unknowns, linear, damping, p, free)
-
-
-def other_residuals(unknowns: Arranged, p: Problem) -> list[Array]:
-    """Weighted residuals of everything but the cells: rays of kept points, and observations that are no rays."""
-    residuals, rays, o = [], p.kept_rays, p.observations
-    if rays.image.shape[0]:
-        u = unknowns.images
-        image = tuple(u.rotation[:, rays.image]), tuple(u.centre[:, rays.image])
-        interior = tuple(u.interior[:, o.image_camera[rays.image]])
-        residuals += _residuals(o, (*image, interior), tuple(u.points[:, rays.point]), rays.measured, rays.weights)
-    if o.groups:
-        flat = unknowns.flat()
-        residuals += [weighted(group_residuals(flat, group), group) for group in o.groups]
-    return residuals
-
-
-def weighted_residuals(unknowns: Arranged, p: Problem) -> list[Array]:
-    """Weighted residuals of all observations; cells first, two arrays a part, 0 where there is no ray."""
-    values, cells = image_values(unknowns.images, p.observations), []
-    first = unknowns.tiles.shape[1] // p.devices * jnp.arange(p.devices)[:, None, None]
-    for part in p.tiles:
-        number = jnp.moveaxis(values[part.slot_image], -1, 0)[..., None]
-        points = tuple(unknowns.tiles[:, part.slot_tile + first])
-        measured, weights = (jnp.moveaxis(x, 2, 0) for x in (part.measured, part.weights))
-        cells += _residuals(p.observations, split_values(list(number)), points, measured, weights)
-    return [*cells, *other_residuals(unknowns, p)]
-
-
-def _residuals(
-    o: Observations, image: tuple, points: tuple[Array, ...], measured: Array, weights: Array
-) -> list[Array]:
-    """Weighted residuals of rays. One without weight gets a point in front of its camera: derivatives stay finite."""
-    rotation, centre, interior = image
-    used = (weights[0] > 0) | (weights[1] > 0)
-    ahead = [x - r for x, r in zip(centre, rotation[2::3], strict=True)]
-    x, y, z = (jnp.where(used, x, a) for x, a in zip(points, ahead, strict=True))
-    v = image_equation(o.model, rotation, centre, interior, (x, y, z), (measured[0], measured[1]))
-    return [r * w for r, w in zip(v, weights, strict=True)]
 
 
 def _noise(p: Problem) -> Float[Array, ""]:

@@ -17,6 +17,7 @@ from jaxtyping import Array, Float
 from jaxbundle.block.residuals import Observations
 from jaxbundle.block.unknowns import Unknowns
 from jaxbundle.camera.collinearity import Vector
+from jaxbundle.camera.model import ImagePoint
 from jaxbundle.geometry.rotation import Rotation, Scalar
 from jaxbundle.normals.cells import Tiles, at_slots, chunk_of, points_at_cells, sum_by_tile
 from jaxbundle.normals.eliminate import FACTOR
@@ -69,8 +70,12 @@ def substitute(
         old, along, new = (split_values(numbers[k * width : (k + 1) * width]) for k in range(3))
         tile = chunk.first_tile + chunk.tile
         point = points_at_cells(chunk, list(points), tile, old[0], old[1])
-        v, moved = jax.jvp(lambda r, x, i: image_equation(model, r, x, i, point, chunk.measured), old, along)
-        _, transposed = jax.vjp(lambda p: image_equation(model, old[0], old[1], old[2], p, chunk.measured), point)
+
+        def equation(rotation: Rotation, centre: Vector, interior: tuple[Scalar, ...], point: Vector) -> ImagePoint:
+            return image_equation(model, rotation, centre, interior, point, chunk.measured, chunk.zero)
+
+        v, moved = jax.jvp(lambda r, x, i: equation(r, x, i, point), old, along)
+        _, transposed = jax.vjp(lambda p: equation(*old, p), point)
         (at_points,) = transposed(tuple(w * w * t for w, t in zip(chunk.weights, moved, strict=True)))
         coupled = sum_by_tile(list(at_points), chunk)
 
@@ -85,7 +90,7 @@ def substitute(
         moved_points = lax.dynamic_update_slice(carry.points, jnp.stack(stepped), (zero, chunk.first_tile, zero))
 
         point = points_at_cells(chunk, stepped, chunk.tile, new[0], new[1])
-        w = image_equation(model, *new, point, chunk.measured)
+        w = equation(*new, point)
         v, w = ([r * s for r, s in zip(residual, chunk.weights, strict=True)] for residual in (v, w))
         return Substituted(
             moved_points,

@@ -11,9 +11,14 @@ T = TypeVar("T")
 
 
 def stored(values: T, zero: Int[Array, ""]) -> T:
-    """The same values, each computed once.
+    """The same values, each computed once, and so are their derivatives.
 
     What several expressions have in common XLA computes in each of them again (on CPUs; `optimization_barrier` does not
     keep it from that). It stops at a loop: this one makes no turn, `zero` is a 0 that only the running program knows.
     """
-    return lax.fori_loop(0, zero, lambda _, v: jax.tree.map(jnp.negative, v), values)
+
+    def solve(_, b: T) -> T:
+        return lax.fori_loop(0, zero, lambda _, v: jax.tree.map(jnp.negative, v), b)
+
+    # the equations I x = b: what JAX can differentiate and transpose without looking into their solution
+    return lax.custom_linear_solve(lambda x: x, values, solve, symmetric=True)

@@ -15,7 +15,7 @@ from jaxbundle.block.block import Block, ExteriorOrientation, InteriorOrientatio
 from jaxbundle.block.unknowns import angle_derivatives, angles_near
 from jaxbundle.normals.arrange import Arranged, Arrangement, Problem, restored_rays, restored_unknowns, spread
 from jaxbundle.normals.cofactors import Cofactors, cofactors
-from jaxbundle.normals.step import weighted_residuals
+from jaxbundle.normals.residuals import weighted_residuals
 from jaxbundle.numerics.compilation import Compiled
 from jaxbundle.numerics.host import array_module, constant, is_concrete, on_device, on_host
 from jaxbundle.solve.adjustment import Adjustment, BlockCofactors, Iterations

@@ -21,8 +21,8 @@ from jaxtyping import Array, Bool
 from jaxbundle.block.unknowns import Unknowns, corrected
 from jaxbundle.normals.arrange import Arranged, Problem
 from jaxbundle.normals.kept_vector import correction_of, kept_free
+from jaxbundle.normals.residuals import cost, weighted_residuals
 from jaxbundle.normals.solution import solve_normals
-from jaxbundle.normals.step import weighted_residuals
 from jaxbundle.normals.vector import NormalVector
 from jaxbundle.numerics.compilation import Compiled
 
@@ -95,15 +95,13 @@ def _held(x: Arranged, start: Arranged, p: Problem) -> Arranged:
 
 def _cost(d: NormalVector, x: Arranged, start: Arranged, p: Problem) -> Array:
     """F."""
-    residuals = weighted_residuals(moved(_held(x, start, p), p, d), p)
-    return 0.5 * sum((jnp.sum(v * v) for v in residuals), jnp.zeros(()))
+    return cost(moved(_held(x, start, p), p, d), p)
 
 
 @Compiled
 def _gradient(x: Arranged, start: Arranged, p: Problem) -> NormalVector:
     """g."""
-    # recomputed in the transposed pass: what it would keep of every ray outweighs the block
-    return jax.grad(eqx.filter_checkpoint(_cost))(zero_vector(p), x, start, p)
+    return jax.grad(_cost)(zero_vector(p), x, start, p)
 
 
 @Compiled

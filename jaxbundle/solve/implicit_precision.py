@@ -19,7 +19,7 @@ from jaxtyping import Array, Float, Int
 from jaxbundle.block.block import Structure
 from jaxbundle.normals.arrange import Arranged, Arrangement, Problem
 from jaxbundle.normals.cofactors import Cofactors, cofactors
-from jaxbundle.normals.step import weighted_residuals
+from jaxbundle.normals.residuals import weighted_residuals
 from jaxbundle.normals.vector import NormalVector, arranged_vectors
 from jaxbundle.numerics.compilation import Compiled
 from jaxbundle.numerics.host import on_device

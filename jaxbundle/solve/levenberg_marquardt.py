@@ -16,7 +16,8 @@ import optimistix as optx
 from jaxtyping import Array, Bool, Float, Int
 
 from jaxbundle.normals.arrange import Arranged, Problem
-from jaxbundle.normals.step import trial_step, weighted_residuals
+from jaxbundle.normals.residuals import weighted_residuals
+from jaxbundle.normals.step import trial_step
 from jaxbundle.numerics.compilation import Compiled
 from jaxbundle.numerics.host import on_device
 from jaxbundle.solve.search import AbstractSearch, SearchState

@@ -30,7 +30,8 @@ from jaxbundle.normals.ordering import elimination_order, ranked_pairs  # noqa: 
 from jaxbundle.normals.panel_cholesky import PanelCholesky  # noqa: E402
 from jaxbundle.normals.ray_products import reduced_product  # noqa: E402
 from jaxbundle.normals.reduced_plan import panel_width  # noqa: E402
-from jaxbundle.normals.step import local_tiles, trial_step  # noqa: E402
+from jaxbundle.normals.partition import local_tiles  # noqa: E402
+from jaxbundle.normals.step import trial_step  # noqa: E402
 from jaxbundle.normals.substitute import image_values  # noqa: E402
 from jaxbundle.normals.symbolic import fill  # noqa: E402
 

@@ -32,12 +32,12 @@ from jaxbundle.normals.arrange import Arranged, Problem, arrange, arranged_unkno
 from jaxbundle.normals.cofactors import cofactors  # noqa: E402
 from jaxbundle.normals.eliminate import eliminate  # noqa: E402
 from jaxbundle.normals.kept_vector import correction_of, direction_of  # noqa: E402
+from jaxbundle.normals.partition import local_tiles  # noqa: E402
 from jaxbundle.normals.reduced_plan import Method  # noqa: E402
 from jaxbundle.normals.reduced_system import ReducedSystem, factorise, step  # noqa: E402
 from jaxbundle.normals.step import (  # noqa: E402
     Linearised,
     linearise,
-    local_tiles,
     partition,
     placed,
     reduced_system,
