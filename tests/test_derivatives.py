@@ -12,6 +12,7 @@ from bent import SIGMA, bent_block
 from jaxtyping import Array, Float
 
 import jaxbundle as jb
+from jaxbundle.solve import implicit_precision
 from jaxbundle.solve.implicit import Derivatives
 
 SHARP = jb.AngleRule(1e-13)  # differences need the digits
@@ -75,8 +76,11 @@ def numbers(result: jb.Adjustment) -> dict[str, Array]:
     }
 
 
-def adjusted(t: Float[Array, " leaf"], precision: bool = True, derivatives: Derivatives = "exact") -> dict[str, Array]:
-    return numbers(jb.adjust(varied(t), stop=SHARP, precision=precision, derivatives=derivatives))
+def adjusted(
+    t: Float[Array, " leaf"], precision: bool = True, derivatives: Derivatives = "exact", devices: int = 1
+) -> dict[str, Array]:
+    block = varied(t)
+    return numbers(jb.adjust(block, stop=SHARP, precision=precision, derivatives=derivatives, devices=devices))
 
 
 @pytest.fixture(scope="module")
@@ -104,6 +108,20 @@ def test_reverse_mode_gives_the_same(forward):
     for name, expected in forward.items():
         atol = 1e-10 * np.abs(expected).max()
         np.testing.assert_allclose(backward[name], expected, rtol=1e-10, atol=atol, err_msg=name)
+
+
+@pytest.mark.parametrize("devices", [1, 2])
+def test_precision_of_large_blocks_by_the_engine(forward, monkeypatch, devices):
+    """Forward through the elimination and transposed by hand, as where the whole of Q would be too large."""
+    monkeypatch.setattr(implicit_precision, "MOST_UNKNOWNS", 0)
+    of = partial(adjusted, devices=devices)
+    backward = jax.jacrev(of)(jnp.zeros(len(LEAVES)))
+    direction = jnp.cos(jnp.arange(len(LEAVES)))
+    _, along = jax.jvp(of, (jnp.zeros(len(LEAVES)),), (direction,)) if devices == 1 else (None, {})
+    for name, expected in forward.items():
+        atol = 1e-9 * np.abs(expected).max()
+        np.testing.assert_allclose(backward[name], expected, rtol=1e-9, atol=atol, err_msg=name)
+        np.testing.assert_allclose(along.get(name, expected @ direction), expected @ direction, rtol=1e-9, atol=atol)
 
 
 def test_exact_derivatives_beat_gauss_newton(differences):

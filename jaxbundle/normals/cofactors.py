@@ -164,7 +164,7 @@ def _of_chunk(
 ) -> tuple[tuple[Array, Array], Float[Array, "2 slot n"]]:
     """Rows of the chunk's points and where they begin; leverages of its cells."""
     e, matrix, products = cofactors_of_chunk(unknowns, linear, p, free, part, q, halved, c)
-    blocks, pivot = _point_blocks(e, matrix)
+    blocks, pivot = point_blocks(e, matrix)
     rows = jnp.concatenate([blocks.reshape(-1, 9 * unknowns.tiles.shape[2]), pivot], 1)
     return (rows, e.chunk.first_tile), jnp.stack(cell_leverages(e, products))
 
@@ -205,8 +205,8 @@ def cofactors_of_chunk(
     return e, matrix, cell_products(e, q, g, border_g, matrix, o.image_camera, shape)
 
 
-def _point_blocks(e: Eliminated, c: Float[Array, "tile 3 3 n"]) -> tuple[Float[Array, "tile 3 3 n"], Array]:
-    """L^-T C L^-1 and the smallest pivot's share."""
+def point_blocks(e: Eliminated, c: Float[Array, "tile 3 3 n"]) -> tuple[Float[Array, "tile 3 3 n"], Array]:
+    """L^-T C L^-1 of the points of a chunk, and their smallest pivot's share."""
     n = c.shape[3]
     number = [e.factor[:, k * n : (k + 1) * n] for k in range(12)]
     f = PointFactor(*number[:6])

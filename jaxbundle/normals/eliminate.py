@@ -81,7 +81,7 @@ def image_table(
     return jnp.concatenate([unknowns.rotation, turns.transpose(1, 0, 2).reshape(27, -1), unknowns.centre, interior]).T
 
 
-def _image_scalars(at: list[Array]) -> ImageScalars:
+def image_scalars(at: list[Array]) -> ImageScalars:
     """A row of the table as the image equation takes it."""
     turns = tuple(tuple(at[9 + 9 * a : 18 + 9 * a]) for a in range(3))
     return ImageScalars(tuple(at[:9]), (turns[0], turns[1], turns[2]), (at[36], at[37], at[38]), tuple(at[39:]))
@@ -119,7 +119,7 @@ def eliminate_chunk(
     `exact`: with all second derivatives."""
     chunk = chunk_of(tiles, c)
     n = chunk.used.shape[1]
-    image = _image_scalars(at_slots(table, chunk.slot_image))
+    image = image_scalars(at_slots(table, chunk.slot_image))
     point = points_at_cells(chunk, list(points), chunk.first_tile + chunk.tile, image.rotation, image.centre)
     scalars = broadcast(image, chunk.weights[0])
     rows = ray_rows(observations.model, observations.columns, scalars, point, chunk.measured, chunk.weights)

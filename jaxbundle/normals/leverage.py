@@ -78,8 +78,9 @@ def cell_products(
     return product(ax, list(hx)), product(ay, list(hy))
 
 
-def _dot(a: Rows, b: Any) -> Array:
-    return sum((x * y for x, y in zip(a[1:], b[1:], strict=True)), a[0] * b[0])
+def _dot(a: Any, b: Any) -> Any:
+    first, *terms = (x * y for x, y in zip(a, b, strict=True))
+    return sum(terms, first)
 
 
 def cell_leverages(e: Eliminated, products: tuple[CellProducts, CellProducts]) -> tuple[Array, Array]:

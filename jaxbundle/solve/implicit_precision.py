@@ -5,7 +5,7 @@ The engine computes them without the whole of Q; their derivatives come from the
     N = A^T A,    Q = N^-1,    h = diag(A Q A^T)        A: weighted residuals by autodiff, with respect to what is free
 
 in a form without loops, which has forward and transposed derivatives of any order, for blocks of MOST_UNKNOWNS at most.
-Beyond, the engine itself is differentiated, which is possible in forward mode only: jacfwd and jvp.
+Beyond, derivatives are of first order: forward through the engine, transposed by `cofactor_gradient`.
 """
 
 from typing import NamedTuple
@@ -14,15 +14,18 @@ import equinox as eqx
 import jax
 import jax.numpy as jnp
 import numpy as np
+from jax.flatten_util import ravel_pytree
 from jaxtyping import Array, Float, Int
 
 from jaxbundle.block.block import Structure
 from jaxbundle.normals.arrange import Arranged, Arrangement, Problem
+from jaxbundle.normals.cofactor_gradient import CofactorWeights, cofactor_gradient
 from jaxbundle.normals.cofactors import Cofactors, cofactors
 from jaxbundle.normals.residuals import weighted_residuals
 from jaxbundle.normals.vector import NormalVector, arranged_vectors
 from jaxbundle.numerics.compilation import Compiled
 from jaxbundle.numerics.host import on_device
+from jaxbundle.numerics.linear_map import linear_map
 from jaxbundle.solve.implicit import moved, zero_vector
 
 MOST_UNKNOWNS = 3000  # N of so many takes 72 MB
@@ -62,20 +65,35 @@ def _precision(
 
 @_precision.def_jvp
 def _precision_jvp(primals: tuple, tangents: tuple) -> tuple[Precision, Precision]:
-    _, x, p, free, optimised = primals
+    found, x, p, free, optimised = primals
+    if free is None:
+        return _precision(*primals), _by_engine(found, x, p, tangents[1:3], optimised=optimised)
 
     def compute(x: Arranged, p: Problem) -> Precision:
-        if free is None:
-            return _by_engine(x, p, optimised=optimised)
         return _dense(x, p, free, optimised=optimised)
 
     return _precision(*primals), eqx.filter_jvp(compute, (x, p), tangents[1:3])[1]
 
 
 @Compiled
-def _by_engine(x: Arranged, p: Problem) -> Precision:
-    q = cofactors(x, p)
-    return Precision(q.images, q.border, q.points, q.leverages)
+def _by_engine(found: Precision, x: Arranged, p: Problem, moved: tuple) -> Precision:
+    """The derivative along `moved`, in forward mode and transposed."""
+    vector, restored = ravel_pytree(moved)
+    flat, precision = ravel_pytree(found)
+
+    def compute(x: Arranged, p: Problem) -> Precision:
+        q = cofactors(x, p)
+        return Precision(q.images, q.border, q.points, q.leverages)
+
+    def forward(v: Array) -> Array:
+        return ravel_pytree(eqx.filter_jvp(compute, (x, p), restored(v))[1])[0]
+
+    def transposed(c: Array) -> Array:
+        gradient = cofactor_gradient(x, p, CofactorWeights(*precision(c)))
+        wanted = jax.tree.map(lambda m, g: None if m is None else g, moved, gradient, is_leaf=lambda m: m is None)
+        return ravel_pytree(wanted)[0]
+
+    return precision(linear_map(forward, transposed, vector, len(flat), (x, p)))
 
 
 @Compiled

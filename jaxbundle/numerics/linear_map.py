@@ -1,0 +1,40 @@
+"""Derivatives along a direction, and linear functions whose transposed function is written by hand."""
+
+from collections.abc import Callable
+from typing import Any
+
+import equinox as eqx
+import jax
+import jax.numpy as jnp
+from jax import lax
+from jaxtyping import Array, Float
+
+LinearFunction = Callable[[Float[Array, " m"]], Float[Array, " n"]]
+
+
+def directional(function: Callable, at: tuple, direction: tuple) -> tuple[Any, Any]:
+    """Value of a function and its derivative; what does not move has None in `direction`, and 0 in the result."""
+    value, moved = eqx.filter_jvp(function, at, direction)
+    return value, jax.tree.map(lambda x, m: jnp.zeros_like(x) if m is None else m, value, moved)
+
+
+def linear_map(
+    forward: LinearFunction, transposed: LinearFunction, x: Float[Array, " m"], size: int, given: Any
+) -> Float[Array, " size"]:
+    """L x = forward(x), as a linear function that JAX transposes by `transposed`, L^T, and may also batch.
+
+    `given`: all numbers that L depends on; derivatives by them are not known, and NaN.
+    """
+    unknown = jnp.nan * sum((jnp.sum(leaf) for leaf in jax.tree.leaves(eqx.filter(given, eqx.is_inexact_array))), 0.0)
+    split = len(x)
+
+    # the equations [ I  0; -L  I ] [ u; v ] = [ x; 0 ], for which JAX asks both solutions of its user
+    def solve(_: Any, b: Array) -> Array:
+        return jnp.concatenate([b[:split], b[split:] + forward(b[:split])])
+
+    def transpose_solve(_: Any, b: Array) -> Array:
+        return jnp.concatenate([b[:split] + transposed(b[split:]), b[split:]])
+
+    right = jnp.concatenate([x, jnp.zeros(size)])
+    # "symmetric" only keeps JAX from transposing the product, which nobody computes
+    return lax.custom_linear_solve(lambda z: unknown * z, right, solve, transpose_solve, symmetric=True)[split:]
