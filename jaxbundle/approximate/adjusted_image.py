@@ -31,6 +31,7 @@ from jaxbundle.block.unknowns import angles_near
 from jaxbundle.camera.collinearity import Vector
 from jaxbundle.camera.model import CameraModel, ImagePoint
 from jaxbundle.geometry.rotation import Angles, RotationSystem, Scalar
+from jaxbundle.numerics.stored import stored
 
 IMAGES_AT_ONCE = 512  # measured: 1024 take as long, more leave the processor's cache
 LINE = 8  # numbers in a line of the cache
@@ -115,10 +116,11 @@ def _answer(
         return angles_near(matrix, jnp.stack(jnp.broadcast_arrays(*start.angles)), system)
 
     by_angles = [jax.jvp(angles, (zero,) * 3, tuple(zero + u for u in unit))[1] for unit in np.eye(3)]
+    by_angles = stored(by_angles, m.zero)
     derivatives = [[*at.rotation[3 * i : 3 * i + 3], zero, zero, zero] for i in range(3)]
     derivatives += [[zero, zero, zero, *(column[i] for column in by_angles)] for i in range(3)]
-    factor, scale = factorised(e, 0.0)
-    rows = [forward(factor, [x * k for x, k in zip(row, scale, strict=True)]) for row in derivatives]
+    factor, scale = stored(factorised(e, 0.0), m.zero)
+    rows = stored([forward(factor, [x * k for x, k in zip(row, scale, strict=True)]) for row in derivatives], m.zero)
     lower = [sum(a * b for a, b in zip(rows[i], rows[j], strict=True)) for i in range(UNKNOWNS) for j in range(i + 1)]
     cofactors = tuple(tuple(lower[place(max(i, j), min(i, j))] for j in range(UNKNOWNS)) for i in range(UNKNOWNS))
     vx, vy = (jnp.where(m.weights[0] > 0, v, 0.0) for v in residuals(model, at, m))

@@ -28,6 +28,7 @@ from jaxbundle.camera.collinearity import Vector, photo_vector
 from jaxbundle.camera.model import CameraModel, ImagePoint
 from jaxbundle.geometry import rotation
 from jaxbundle.geometry.rotation import Rotation, Scalar
+from jaxbundle.numerics.stored import stored
 from jaxbundle.solve.adjustment import Status
 from jaxbundle.solve.undetermined import WEAKEST_SHARE
 
@@ -46,6 +47,11 @@ class Measured(NamedTuple):
     points: Float[Array, "3 point *image"]
     coordinates: Float[Array, "2 point *image"]
     weights: Float[Array, "2 point *image"]
+
+    @property
+    def zero(self) -> Int[Array, ""]:
+        """A 0 that only the running program knows; see `stored`."""
+        return jnp.minimum(jnp.sum(self.weights[0] > 0), 0)
 
 
 class Orientation(NamedTuple):
@@ -100,7 +106,7 @@ def residuals(model: CameraModel, at: Orientation, m: Measured) -> ImagePoint:
 def equations(model: CameraModel, at: Orientation, m: Measured) -> Equations:
     """The normal equations of an orientation."""
     x, y, z = m.points
-    p = photo_vector(at.rotation, at.centre, (x, y, z))
+    p = stored(photo_vector(at.rotation, at.centre, (x, y, z)), m.zero)
     interior, measured = _on_points(m.interior, p[0]), (m.coordinates[0], m.coordinates[1])
 
     def residual(x: Scalar, y: Scalar, z: Scalar, a: Scalar, b: Scalar, c: Scalar) -> ImagePoint:
@@ -112,6 +118,7 @@ def equations(model: CameraModel, at: Orientation, m: Measured) -> Equations:
     wx, wy = jnp.broadcast_to(m.weights, (2, *zero.shape))
     ax, ay = transposed((wx, zero)), transposed((zero, wy))
     vx, vy = v[0] * wx, v[1] * wy
+    ax, ay, vx, vy = stored((ax, ay, vx, vy), m.zero)
     return Equations(
         [jnp.sum(ax[i] * ax[j] + ay[i] * ay[j], 0) for i in range(UNKNOWNS) for j in range(i + 1)],
         [jnp.sum(a * vx + b * vy, 0) for a, b in zip(ax, ay, strict=True)],
@@ -136,16 +143,16 @@ def factorised(e: Equations, damping: Scalar) -> tuple[list[Scalar], list[Scalar
 
 def _next_step(model: CameraModel, m: Measured, noise: Array, s: State) -> State:
     """Tries an orientation, and finds the next one to be tried."""
-    new = equations(model, s.trial, m)
+    new = stored(equations(model, s.trial, m), m.zero)
     floor = 4 * ROUNDING * s.equations.cost + 2 * jnp.sqrt(s.equations.cost * noise) + noise
     accepted = (s.trials == 0) | (new.cost <= s.equations.cost + floor)
     running = s.status == RUNNING
     at, e = jax.tree.map(partial(jnp.where, accepted & running), (s.trial, new), (s.at, s.equations))
     less = jnp.where(s.damping > LEAST_DAMPING, 0.1 * s.damping, 0.0)
     damping = jnp.where(accepted, less, jnp.maximum(10 * s.damping, FIRST_DAMPING))
-    factor, scale = factorised(e, damping)
-    y = forward(factor, [-g * k for g, k in zip(e.gradient, scale, strict=True)])
-    d = [x * k for x, k in zip(backward(factor, y), scale, strict=True)]
+    factor, scale = stored(factorised(e, damping), m.zero)
+    y = stored(forward(factor, [-g * k for g, k in zip(e.gradient, scale, strict=True)]), m.zero)
+    d = stored([x * k for x, k in zip(backward(factor, y), scale, strict=True)], m.zero)
     undamped = damping == 0
     weakest = 1 / jnp.max(jnp.stack([factor[place(i, i)] for i in range(UNKNOWNS)]), 0) ** 2
     met = undamped & (sum(x * x for x in y) <= 2 * (LIMIT**2 * e.cost + noise))  # |J d|^2

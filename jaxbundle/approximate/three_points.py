@@ -15,7 +15,7 @@ from typing import Any
 
 import jax
 import jax.numpy as jnp
-from jaxtyping import Array, Float
+from jaxtyping import Array, Float, Int
 
 from jaxbundle.approximate.one_image import Measured, Orientation
 from jaxbundle.camera.collinearity import Vector, photo_vector
@@ -23,6 +23,7 @@ from jaxbundle.camera.direction import direction
 from jaxbundle.camera.model import CameraModel
 from jaxbundle.geometry import rotation
 from jaxbundle.geometry.rotation import Rotation, Scalar
+from jaxbundle.numerics.stored import stored
 
 Triple = tuple[Vector, Vector, Vector]
 TINY = 1e-300  # in place of a divisor that is 0: what follows is not finite or no solution, and not chosen
@@ -34,8 +35,8 @@ def direct_orientation(model: CameraModel, m: Measured) -> Orientation:
     Of the four solutions that which is the best for all points: the least sum of 1 - cos of the angles off the rays.
     """
     interior = tuple(jnp.broadcast_to(element, m.coordinates[0].shape) for element in m.interior)
-    d = direction(model, interior, (m.coordinates[0], m.coordinates[1]))
-    used = m.weights[0] > 0
+    used, zero = m.weights[0] > 0, m.zero
+    d = stored(direction(model, interior, (m.coordinates[0], m.coordinates[1])), zero)
 
     def most(measure: Scalar) -> Array:
         return jnp.argmax(jnp.where(used, measure, -1.0), 0)[None]
@@ -49,7 +50,8 @@ def direct_orientation(model: CameraModel, m: Measured) -> Orientation:
     second = most(_squared(_minus(d, picked(d, first))))
     third = most(jnp.abs(_dot(d, _cross(picked(d, first), picked(d, second)))))
     points, directions = ((picked(x, first), picked(x, second), picked(x, third)) for x in (m.points, d))
-    rotations, centres = three_point_solutions(points, directions)
+    points, directions = stored((points, directions), zero)
+    rotations, centres = stored(three_point_solutions(points, directions, zero), zero)
     x, y, z, along_x, along_y, along_z = (e[:, None] for e in (*m.points, *d))  # against the axis of the solutions
     vector = photo_vector(rotations, centres, (x, y, z))
     cosine = _dot(vector, (along_x, along_y, along_z)) / jnp.sqrt(_squared(vector))
@@ -58,14 +60,16 @@ def direct_orientation(model: CameraModel, m: Measured) -> Orientation:
     return Orientation(*jax.tree.map(lambda x: jnp.take_along_axis(x, best, 0)[0], (rotations, centres)))
 
 
-def three_point_solutions(points: Triple, directions: Triple) -> tuple[Rotation, Vector]:
+def three_point_solutions(points: Triple, directions: Triple, zero: Int[Array, ""]) -> tuple[Rotation, Vector]:
     """Rotations (object_from_image) and projection centres, four in a new leading axis; not finite where there is none.
 
     Complex roots take part with their real part: with errors of measurement two equal roots become a complex pair.
+    `zero`: see `stored`.
     """
     aa, bb, cc = (_squared(_minus(points[i], points[j])) for i, j in ((1, 2), (0, 2), (0, 1)))
     alpha, beta, gamma = (_dot(directions[i], directions[j]) for i, j in ((1, 2), (0, 2), (0, 1)))  # their cosines
-    v = quartic_roots(*_grunert(aa / bb, cc / bb, alpha, beta, gamma))
+    coefficients = stored(_grunert(aa / bb, cc / bb, alpha, beta, gamma), zero)
+    v = stored(quartic_roots(coefficients, zero), zero)
     s1_squared = bb / (1 + v * v - 2 * v * beta)
     # s2 from the triangle with side c has two solutions: that which fits side a better
     root = jnp.sqrt(jnp.maximum(cc / s1_squared - 1 + gamma * gamma, 0.0))
@@ -73,9 +77,11 @@ def three_point_solutions(points: Triple, directions: Triple) -> tuple[Rotation,
     misfit, other_misfit = (jnp.abs(x * x + v * v - 2 * x * v * alpha - aa / s1_squared) for x in (u, other))
     u = jnp.where(misfit <= other_misfit, u, other)
     s1 = jnp.sqrt(jnp.where((v > 0) & (u > 0), s1_squared, jnp.nan))
+    s1, u = stored((s1, u), zero)
     one, two, three = directions
     in_image = _times(s1, one), _times(u * s1, two), _times(v * s1, three)
-    object_from_image = rotation.product(_axes(points), rotation.transpose(_axes(in_image)))
+    a, b = stored((_axes(points), _axes(in_image)), zero)
+    object_from_image = stored(rotation.product(a, rotation.transpose(b)), zero)
     centre = _minus(points[0], rotation.apply(object_from_image, in_image[0]))
     return object_from_image, centre
 
@@ -100,15 +106,17 @@ def _grunert(a: Scalar, c: Scalar, alpha: Scalar, beta: Scalar, gamma: Scalar) -
     )
 
 
-def quartic_roots(a4: Scalar, a3: Scalar, a2: Scalar, a1: Scalar, a0: Scalar) -> Float[Array, "4 ..."]:
-    """Real parts of the four roots, by Ferrari's method."""
+def quartic_roots(coefficients: tuple[Scalar, ...], zero: Int[Array, ""]) -> Float[Array, "4 ..."]:
+    """Real parts of the four roots of a4 x^4 + ... + a0, by Ferrari's method; `zero`: see `stored`."""
+    a4, a3, a2, a1, a0 = coefficients
     a4 = jnp.where(jnp.abs(a4) < TINY, TINY, a4)
     b, c, d, e = a3 / a4, a2 / a4, a1 / a4, a0 / a4
     # x = y - b / 4:  y^4 + p y^2 + q y + r
     p = c - 3 * b * b / 8
     q = d - b * c / 2 + b**3 / 8
     r = e - b * d / 4 + b * b * c / 16 - 3 * b**4 / 256
-    m = _largest_root(p, p * p / 4 - r, -q * q / 8)
+    p, q, r = stored((p, q, r), zero)
+    m = stored(_largest_root(p, p * p / 4 - r, -q * q / 8), zero)
     root = jnp.sqrt(2 * jnp.maximum(m, 0.0))
     # 2 q / root, by the resolvent without the division: in a symmetric figure both are 0
     split = jnp.where(q < 0, -4.0, 4.0) * jnp.sqrt(jnp.maximum((m + p / 2) ** 2 - r, 0.0))
