@@ -85,7 +85,7 @@ def substitute(
         own = (jnp.arange(chunk.most_tiles) < chunk.tile_count)[:, None]
         x, y, z = (g + t for g, t in zip(gradient, coupled, strict=True))
         dx = [jnp.where(own, -d, 0.0) for d in backward(factor, forward(factor, (x, y, z)))]
-        stepped = [chunk.window(x) + d for x, d in zip(carry.points, dx, strict=True)]
+        stepped = [chunk.window(x) + d for x, d in zip(points, dx, strict=True)]
         zero = jnp.zeros_like(chunk.first_tile)
         moved_points = lax.dynamic_update_slice(carry.points, jnp.stack(stepped), (zero, chunk.first_tile, zero))
 

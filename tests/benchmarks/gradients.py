@@ -1,7 +1,8 @@
 """Times a gradient through an adjustment: python tests/benchmarks/gradients.py [--block 320]
 
-The block stands at its minimum. The gradient of the sum of squares of all object points by every value of the block is
-timed without the iterations that come before it, and given in iterations of the adjustment.
+The block stands at its minimum. Gradients by every value of the block, of the sum of squares of all object points, with
+and without second derivatives of the observations, and of the sum of all points' standard deviations, are timed without
+the iterations that come before them, and given in iterations of the adjustment.
 """
 
 import argparse
@@ -10,6 +11,7 @@ import statistics
 import sys
 import tempfile
 import time
+from functools import partial
 from pathlib import Path
 
 import jax
@@ -26,8 +28,7 @@ from table import print_machine  # noqa: E402
 import jaxbundle as jb  # noqa: E402
 from jaxbundle.solve.implicit import Derivatives  # noqa: E402
 
-KINDS: tuple[Derivatives, ...] = ("gauss-newton", "exact")
-REPEATED = 3
+REPEATED = 5
 
 
 def main() -> int:
@@ -45,22 +46,32 @@ def main() -> int:
     iteration = statistics.median(np.diff(steps))
     print(f"{size} images, {len(block.structure.ray_image)} rays: one iteration {1e3 * iteration:.0f} ms")
     values, structure = eqx.partition(result.block, eqx.is_inexact_array)
-    for kind in KINDS:
 
-        def squares(values: jb.Block, kind: Derivatives = kind) -> jax.Array:
-            adjusted = jb.adjust(eqx.combine(values, structure), precision=False, derivatives=kind)
-            return jnp.sum(adjusted.block.object_points**2)
+    def adjusted(values: jb.Block, precision: bool, derivatives: Derivatives) -> jb.Adjustment:
+        return jb.adjust(eqx.combine(values, structure), precision=precision, derivatives=derivatives)
 
+    def squares(values: jb.Block, derivatives: Derivatives) -> jax.Array:
+        return jnp.sum(adjusted(values, False, derivatives).block.object_points ** 2)
+
+    def deviations(values: jb.Block) -> jax.Array:
+        cofactors = adjusted(values, True, "exact").cofactors
+        assert cofactors is not None
+        return jnp.sum(jnp.sqrt(jnp.trace(cofactors.object_points, axis1=1, axis2=2)))
+
+    functions = {
+        "points, Gauss-Newton": partial(squares, derivatives="gauss-newton"),
+        "points, exact": partial(squares, derivatives="exact"),
+        "standard deviations": deviations,
+    }
+    for name, function in functions.items():
         times = []
         for _ in range(REPEATED + 1):  # the first one compiles
-            _, back = jax.vjp(squares, values)
+            _, back = jax.vjp(function, values)
             start = time.perf_counter()
             jax.block_until_ready(back(1.0))
             times.append(time.perf_counter() - start)
         spent = statistics.median(times[1:])
-        print(
-            f"  gradient, {kind:13} {1e3 * spent:6.0f} ms  {spent / iteration:5.1f} iterations; first {times[0]:.1f} s"
-        )
+        print(f"  {name:22} {1e3 * spent:6.0f} ms  {spent / iteration:5.1f} iterations; first {times[0]:.1f} s")
     return 0
 
 
