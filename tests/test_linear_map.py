@@ -1,0 +1,52 @@
+"""Values kept in memory are what they were; linear functions with a transposed function of their own."""
+
+import jax
+import jax.numpy as jnp
+import numpy as np
+
+from jaxbundle.numerics.linear_map import linear_map
+from jaxbundle.numerics.stored import stored
+
+X = jnp.array([0.3, -1.2, 2.0])
+
+
+def of_stored(x: jax.Array, zero: jax.Array) -> jax.Array:
+    first, second = stored((jnp.sin(x), x * x), zero)
+    return stored(first * second, zero).sum()
+
+
+def plain(x: jax.Array) -> jax.Array:
+    return (jnp.sin(x) * x * x).sum()
+
+
+def test_stored_values_and_their_derivatives():
+    zero = jnp.zeros((), int)
+    for transformed in (lambda f: f, jax.grad, jax.hessian, lambda f: jax.jacfwd(jax.grad(f))):
+        np.testing.assert_allclose(transformed(lambda x: of_stored(x, zero))(X), transformed(plain)(X), rtol=1e-15)
+    batch = jnp.stack([X, 2 * X])
+    found = jax.jit(jax.vmap(jax.grad(of_stored), (0, None)))(batch, zero)
+    np.testing.assert_allclose(found, jax.vmap(jax.grad(plain))(batch), rtol=1e-15)
+
+
+def mapped(matrix: jax.Array, x: jax.Array) -> jax.Array:
+    """The matrix times x. A loop of unknown length has no transposed function that JAX would find."""
+
+    def forward(v: jax.Array) -> jax.Array:
+        turns = 1 + jnp.sum(jnp.isnan(matrix))
+        return jax.lax.fori_loop(0, turns, lambda _, y: y + matrix @ v, jnp.zeros(2))
+
+    return linear_map(forward, lambda c: matrix.T @ c, x, 2, matrix)
+
+
+def test_a_linear_map_is_differentiated_both_ways():
+    matrix = jnp.array([[1.0, 2.0, 3.0], [-1.0, 0.5, 4.0]])
+    np.testing.assert_array_equal(mapped(matrix, X), matrix @ X)
+    for jacobian in (jax.jacfwd, jax.jacrev):
+        np.testing.assert_array_equal(jacobian(lambda x: mapped(matrix, x))(X), matrix)
+    gradient = jax.jit(jax.grad(lambda x: jnp.sum(jnp.sin(mapped(matrix, x)))))(X)
+    np.testing.assert_allclose(gradient, matrix.T @ jnp.cos(matrix @ X), rtol=1e-15)
+
+
+def test_what_it_is_made_of_has_no_derivative():
+    matrix = jnp.array([[1.0, 2.0, 3.0], [-1.0, 0.5, 4.0]])
+    assert jnp.isnan(jax.grad(lambda m: mapped(m, X).sum())(matrix)).any()
