@@ -110,7 +110,7 @@ def test_reverse_mode_gives_the_same(forward):
         np.testing.assert_allclose(backward[name], expected, rtol=1e-10, atol=atol, err_msg=name)
 
 
-@pytest.mark.parametrize("devices", [1, 2])
+@pytest.mark.parametrize("devices", [pytest.param(1, marks=pytest.mark.thorough), 2])
 def test_precision_of_large_blocks_by_the_engine(forward, monkeypatch, devices):
     """Forward through the elimination and transposed by hand, as where the whole of Q would be too large."""
     monkeypatch.setattr(implicit_precision, "MOST_UNKNOWNS", 0)

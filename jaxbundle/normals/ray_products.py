@@ -9,7 +9,7 @@ for all second derivatives.
 
 from collections.abc import Callable
 from functools import partial
-from typing import Any
+from typing import NamedTuple
 
 import jax
 import jax.numpy as jnp
@@ -19,29 +19,61 @@ from jaxtyping import Array, Float
 from jaxbundle.block.residuals import Observations
 from jaxbundle.camera.collinearity import Vector
 from jaxbundle.camera.model import ImagePoint
+from jaxbundle.geometry.rotation import Rotation, Scalar
 from jaxbundle.normals.cells import Chunk, Tiles, at_slots, chunk_of, points_at_cells, sum_by_tile
 from jaxbundle.normals.point_blocks import PointFactor, backward, forward
 from jaxbundle.normals.rows import image_equation
 from jaxbundle.normals.substitute import split_values
 
-Gradient = Callable[[Any, Vector], tuple[Any, Vector]]
+Image = tuple[Rotation, Vector, tuple[Scalar, ...]]
+Gradient = Callable[[Image, Vector], tuple[Image, Vector]]
 
 
-def _gradient(o: Observations, chunk: Chunk, image: Any, point: Vector, exact: bool) -> Gradient:
-    """Gradient of v^T P v / 2 by image, summed over the columns, and point."""
+class _Rays(NamedTuple):
+    """A chunk with the gradient of v^T P v / 2 of its rays; `along`: a direction of the images, where there is one."""
 
-    def equation(image: Any, point: Vector) -> ImagePoint:
+    chunk: Chunk
+    image: Image
+    along: Image
+    point: Vector
+    gradient: Gradient
+
+
+def _rays(
+    o: Observations,
+    part: Tiles,
+    c: Array,
+    table: Float[Array, "image number"],
+    width: int,
+    points: Float[Array, "3 tile column"],
+    exact: bool,
+) -> _Rays:
+    """Chunk number `c`. `table`: `width` numbers of `image_values`, and behind them, if any, those of a direction."""
+    chunk = chunk_of(part, c)
+    numbers = at_slots(table, chunk.slot_image)
+    image = split_values(numbers[:width])
+    point = points_at_cells(chunk, list(points), chunk.first_tile + chunk.tile, image[0], image[1])
+
+    def equation(image: Image, point: Vector) -> ImagePoint:
         rotation, centre, interior = image
         return image_equation(o.model, rotation, centre, interior, point, chunk.measured, chunk.zero)
 
     held = jax.vjp(equation, image, point)[1]
 
-    def gradient(image: Any, point: Vector) -> tuple[Any, Vector]:
+    def gradient(image: Image, point: Vector) -> tuple[Image, Vector]:
+        """By image, summed over the columns, and by point."""
         v, transposed = jax.vjp(equation, image, point)
         left = tuple(w * w * r for w, r in zip(chunk.weights, v, strict=True))
         return transposed(left) if exact else held(left)
 
-    return gradient
+    along = split_values(numbers[width:]) if len(numbers) > width else image
+    return _Rays(chunk, image, along, point, gradient)
+
+
+def _moved(rays: _Rays, direction: list[Array]) -> Vector:
+    """A direction of the tiles' points at the cells."""
+    x, y, z = (jnp.where(rays.chunk.used, d, 0.0) for d in direction)
+    return x, y, z
 
 
 def to_images(
@@ -55,16 +87,12 @@ def to_images(
     """W u of the rays of one device, by the numbers of `image_values`."""
 
     def add_chunk(part: Tiles, c: Array, sums: Array) -> Array:
-        chunk = chunk_of(part, c)
-        image = split_values(at_slots(values, chunk.slot_image))
-        tile = chunk.first_tile + chunk.tile
-        point = points_at_cells(chunk, list(points), tile, image[0], image[1])
-        moved = (jnp.take(coordinate, tile, axis=0, mode="clip") for coordinate in u)
-        x, y, z = (jnp.where(chunk.used, m, 0.0) for m in moved)
-        gradient = _gradient(o, chunk, image, point, exact)
-        _, of_image = jax.jvp(lambda point: gradient(image, point)[0], (point,), ((x, y, z),))
+        rays = _rays(o, part, c, values, values.shape[1], points, exact)
+        tile = rays.chunk.first_tile + rays.chunk.tile
+        moved = _moved(rays, [jnp.take(x, tile, axis=0, mode="clip") for x in u])
+        _, of_image = jax.jvp(lambda point: rays.gradient(rays.image, point)[0], (rays.point,), (moved,))
         rows = jnp.concatenate(jax.tree.leaves(of_image), 1)
-        return sums.at[chunk.slot_image].add(rows, mode="promise_in_bounds")
+        return sums.at[rays.chunk.slot_image].add(rows, mode="promise_in_bounds")
 
     sums = jnp.zeros_like(values)
     for part in tiles:
@@ -81,18 +109,14 @@ def to_points(
     exact: bool,
 ) -> Float[Array, "3 tile column"]:
     """W^T t of the rays of one device; `direction` is t, by the numbers of `image_values`."""
-    table, width = jnp.concatenate([values, direction], 1), values.shape[1]
+    table = jnp.concatenate([values, direction], 1)
 
     def do_chunk(part: Tiles, c: Array, done: Array) -> Array:
-        chunk = chunk_of(part, c)
-        numbers = at_slots(table, chunk.slot_image)
-        image, along = split_values(numbers[:width]), split_values(numbers[width:])
-        point = points_at_cells(chunk, list(points), chunk.first_tile + chunk.tile, image[0], image[1])
-        gradient = _gradient(o, chunk, image, point, exact)
-        _, at_points = jax.jvp(lambda image: gradient(image, point)[1], (image,), (along,))
-        zero = jnp.zeros_like(chunk.first_tile)
-        sums = jnp.stack(sum_by_tile(list(at_points), chunk))
-        return lax.dynamic_update_slice(done, sums, (zero, chunk.first_tile, zero))
+        rays = _rays(o, part, c, table, values.shape[1], points, exact)
+        _, at_points = jax.jvp(lambda image: rays.gradient(image, rays.point)[1], (rays.image,), (rays.along,))
+        zero = jnp.zeros_like(rays.chunk.first_tile)
+        sums = jnp.stack(sum_by_tile(list(at_points), rays.chunk))
+        return lax.dynamic_update_slice(done, sums, (zero, rays.chunk.first_tile, zero))
 
     done = jnp.zeros_like(points)
     for part in tiles:
@@ -110,23 +134,18 @@ def reduced_product(
     exact: bool,
 ) -> Float[Array, "image number"]:
     """U t - W V^-1 W^T t of the rays of one device, by the numbers of `image_values`; `direction` is t."""
-    table = jnp.concatenate([values, direction], 1)
-    width, n = values.shape[1], points.shape[2]
+    table, n = jnp.concatenate([values, direction], 1), points.shape[2]
 
     def add_chunk(part: Tiles, c: Array, sums: Array) -> Array:
-        chunk = chunk_of(part, c)
-        numbers = at_slots(table, chunk.slot_image)
-        image, along = split_values(numbers[:width]), split_values(numbers[width:])
-        point = points_at_cells(chunk, list(points), chunk.first_tile + chunk.tile, image[0], image[1])
-        gradient = _gradient(o, chunk, image, point, exact)
-        _, (ut, wt) = jax.jvp(lambda image: gradient(image, point), (image,), (along,))
+        rays = _rays(o, part, c, table, values.shape[1], points, exact)
+        chunk = rays.chunk
+        _, (ut, wt) = jax.jvp(lambda image: rays.gradient(image, rays.point), (rays.image,), (rays.along,))
         stored = chunk.window(factors)
         factor = PointFactor(*(stored[:, k * n : (k + 1) * n] for k in range(6)))
-        own = (jnp.arange(chunk.most_tiles) < chunk.tile_count)[:, None]
         x, y, z = sum_by_tile(list(wt), chunk)
-        u = [jnp.where(own, c, 0.0) for c in backward(factor, forward(factor, (x, y, z)))]
-        ux, uy, uz = (jnp.take(c, chunk.tile, axis=0, mode="clip") for c in u)
-        _, wu = jax.jvp(lambda point: gradient(image, point)[0], (point,), ((ux, uy, uz),))
+        u = backward(factor, forward(factor, (x, y, z)))
+        moved = _moved(rays, [jnp.take(d, chunk.tile, axis=0, mode="clip") for d in u])
+        _, wu = jax.jvp(lambda point: rays.gradient(rays.image, point)[0], (rays.point,), (moved,))
         rows = jnp.concatenate([a - b for a, b in zip(jax.tree.leaves(ut), jax.tree.leaves(wu), strict=True)], 1)
         return sums.at[chunk.slot_image].add(rows, mode="promise_in_bounds")
 

@@ -5,7 +5,7 @@
     dx = - H^-1 (dg/dp) dp,    H = d2F/dd2 (0; p)                  exact, or A^T P A alone (Gauss-Newton)
 
 No iteration is differentiated. The equations are solved by the elimination of the adjustment itself; forward and
-transposed derivatives, of any order, follow from H and g, which are written without a loop.
+transposed derivatives, of any order, follow from H and g, derivatives of a sum that JAX can differentiate (`cost`).
 """
 
 from typing import Literal
