@@ -28,6 +28,16 @@ def test_stored_values_and_their_derivatives():
     np.testing.assert_allclose(found, jax.vmap(jax.grad(plain))(batch), rtol=1e-15)
 
 
+def test_stored_values_of_which_some_have_no_derivative():
+    def first_of(x: jax.Array) -> jax.Array:
+        one, _, two = stored((jnp.sin(x[0]), jnp.cos(x[1]), jnp.ones(())), jnp.zeros((), int))
+        return one * two
+
+    for derivative in (jax.grad, jax.jacfwd, jax.hessian):
+        expected = derivative(lambda x: jnp.sin(x[0]))(X)
+        np.testing.assert_allclose(jax.jit(derivative(first_of))(X), expected, rtol=1e-15)
+
+
 def mapped(matrix: jax.Array, x: jax.Array) -> jax.Array:
     """The matrix times x. A loop of unknown length has no transposed function that JAX would find."""
 
