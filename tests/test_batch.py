@@ -10,6 +10,7 @@ import pytest
 
 from jaxbundle.block.block import Block
 from jaxbundle.block.datum import with_datum
+from jaxbundle.block.findings import Finding, Kind
 from jaxbundle.block.problems import BlockError
 from jaxbundle.planning.simulate import simulate
 from jaxbundle.solve import batch as module
@@ -88,7 +89,7 @@ def test_progress_and_equal_names():
 
 
 def test_undetermined_unknowns_are_named(monkeypatch, batch):
-    weak = dataclasses.replace(batch.adjustments[0], undetermined=("point 7; drop it",))
+    weak = dataclasses.replace(batch.adjustments[0], findings=(Finding(Kind.UNDETERMINED, "point 7", "drop it"),))
     monkeypatch.setattr(module, "adjust", lambda block, **options: weak)
     found = adjust_many([strip(1)])
     assert not found.trustworthy and found.table()[0].problem == "undetermined: point 7; drop it"

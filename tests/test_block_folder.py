@@ -81,7 +81,7 @@ def test_real_blocks(shared_data: Path, tmp_path: Path, name: str) -> None:
     assert block.structure.unknowns == expected["unknowns"]
     assert block.redundancy == expected["redundancy"]
     assert block.structure.name == name
-    assert block.structure.notes == ()
+    assert block.structure.findings == ()
     write_block_folder(block, tmp_path / name)
     assert_same(block, read_block_folder(tmp_path / name))
 
@@ -248,7 +248,7 @@ def test_what_takes_no_part_is_noted(small: Path) -> None:
     append(small, "points.csv", "901,1,2,3\n902,1,2,3")
     write(small, "distances.csv", "from,to,distance,sigma", [])
     change(small, "block.toml", 25, "[tables]", BROWN_CAMERA + "[tables]")
-    assert read_block_folder(small).structure.notes == (
+    assert tuple(note.words for note in read_block_folder(small).structure.findings) == (
         "control point 900 is on no image and takes no part",
         "2 approximate points are on no image and take no part: 901, 902",
         "camera second one has no image and takes no part",

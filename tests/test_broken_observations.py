@@ -327,7 +327,7 @@ def test_what_is_defined_and_not_used_is_noted(tmp_path: Path) -> None:
     table("bars", BARS, "b,15,0", "c,1,0", "d,1,")(folder)
     navigation('estimate = ["shift"]')(folder)
     block = read_block_folder(folder)
-    assert block.structure.notes == (
+    assert tuple(note.words for note in block.structure.findings) == (
         "bars c, d are in no table and take no part",
         "navigation group strip is in no table and takes no part",
     )

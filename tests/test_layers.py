@@ -20,9 +20,10 @@ LAYERS = {
     "approximate": 7,
     "planning": 7,
     "imagery": 7,
-    "io": 8,
-    "report": 9,
-    "cli": 10,
+    "diagnosis": 8,
+    "io": 9,
+    "report": 10,
+    "cli": 11,
 }
 LONGEST = 400  # lines
 

@@ -118,7 +118,8 @@ def test_navigation(block: Block) -> None:
     priors = group_of(block, PARAMETERS)
     at = priors.structure.indices[:, 0].tolist().index(boresight)
     assert float(priors.sigmas[at, 0]) == pytest.approx(0.05 * GON)
-    assert "times of navigation group strip 1 count from their mean, 5002" in block.structure.notes
+    notes = [note.words for note in block.structure.findings]
+    assert "times of navigation group strip 1 count from their mean, 5002" in notes
 
 
 def test_covariances_of_control(block: Block) -> None:

@@ -11,6 +11,8 @@ import polars as pl
 import pytest
 from simulated import small_block
 
+from jaxbundle.block.findings import Finding as Found
+from jaxbundle.block.findings import Kind
 from jaxbundle.report import files, findings, report_dict, report_text, write_report
 from jaxbundle.report.columns import WIDTH, aligned, decimals, short, table
 from jaxbundle.report.findings import Finding, global_test
@@ -134,14 +136,16 @@ def test_finds_that_it_did_not_converge(adjustment, status):
 
 
 def test_finds_what_is_not_determined(adjustment):
-    sentences = ("point 7; measure it", "X0 of image 1_01; give control", "point 9; measure it")
-    loose = dataclasses.replace(adjustment, undetermined=sentences)
+    pairs = [("point 7", "measure it"), ("X0 of image 1_01", "give control"), ("point 9", "measure it")]
+    loose = dataclasses.replace(adjustment, findings=tuple(Found(Kind.UNDETERMINED, *pair) for pair in pairs))
     assert words(loose, "undetermined") == [
         "not determined: point 7, point 9; measure it",
         "not determined: X0 of image 1_01; give control",
     ]
-    assert report_dict(loose)["undetermined"] == list(sentences)
-    many = dataclasses.replace(adjustment, undetermined=tuple(f"point {k}; measure it" for k in range(12)))
+    assert report_dict(loose)["undetermined"] == ["; ".join(pair) for pair in pairs]
+    many = dataclasses.replace(
+        adjustment, findings=tuple(Found(Kind.UNDETERMINED, f"point {k}", "measure it") for k in range(12))
+    )
     assert words(many, "undetermined")[0].endswith("point 9 and 2 more; measure it")
 
 
@@ -204,7 +208,9 @@ def test_finds_points_seen_twice_only_when_they_are_many(adjustment):
 
 
 def test_tells_what_was_left_out(adjustment):
-    noted = with_structure(dataclasses.replace(adjustment, cofactors=None), notes=("camera b has no image",))
+    noted = with_structure(
+        dataclasses.replace(adjustment, cofactors=None), findings=(Found(Kind.UNUSED, "camera b has no image"),)
+    )
     assert words(noted, "note") == ["no standard deviations were computed", "camera b has no image"]
     assert Finding("note", "").label == "note"
 

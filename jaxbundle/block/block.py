@@ -7,13 +7,14 @@ a pytree. So an adjustment can be traced, differentiated and vmapped in every va
 Units: object coordinates and image coordinates in the user's units, angles in radians.
 """
 
-from dataclasses import dataclass, field
+from dataclasses import dataclass
 from functools import cached_property
 
 import equinox as eqx
 import numpy as np
 from jaxtyping import Array, Bool, Float, Int
 
+from jaxbundle.block.findings import Finding
 from jaxbundle.block.observations import ObservationGroup
 from jaxbundle.camera.fiducials import InnerOrientation
 from jaxbundle.camera.model import CameraModel, mixture
@@ -100,7 +101,7 @@ class Structure:
     angle_unit: str = "deg"
     parameters: tuple[Parameter, ...] = ()
     source: str = ""
-    notes: tuple[str, ...] = field(default=())  # what reading the block left out, in words
+    findings: tuple[Finding, ...] = ()  # what reading and preparing the block found
     inner_orientations: tuple[InnerOrientation, ...] = ()  # fits that brought the rays of scanned film from px to mm
 
     @property

@@ -22,6 +22,8 @@ from jaxbundle.block.block import (
     Structure,
 )
 from jaxbundle.block.datum_defect import datum_defect
+from jaxbundle.block.findings import Finding as Note
+from jaxbundle.block.findings import Kind
 from jaxbundle.block.problems import BlockError, Problem
 from jaxbundle.block.validate import validate, weaknesses
 from jaxbundle.geometry.rotation import ROTATION_SYSTEMS
@@ -90,7 +92,7 @@ def _block(folder: Path, toml: BlockToml, settings: Settings, tables: FolderTabl
         angle_unit=settings.units.angle,
         parameters=tuple(found.parameters),
         source=settings.source,
-        notes=_notes(folder, toml, settings, tables),
+        findings=_unused(folder, toml, settings, tables),
         inner_orientations=tables.inner_orientations,
     )
     return Block(
@@ -196,9 +198,9 @@ def _check_points(control: KnownRows | None) -> tuple[Int[np.ndarray, " check"],
     return control.position[rows].astype(np.int32), known
 
 
-def _notes(folder: Path, toml: BlockToml, settings: Settings, tables: FolderTables) -> tuple[str, ...]:
+def _unused(folder: Path, toml: BlockToml, settings: Settings, tables: FolderTables) -> tuple[Note, ...]:
     """What takes no part, one sentence each."""
-    notes = []
+    notes: list[str] = []
     for kind, what in (("control", "control"), ("points", "approximate")):
         if kind in tables.known:
             rows = tables.known[kind]
@@ -215,13 +217,14 @@ def _notes(folder: Path, toml: BlockToml, settings: Settings, tables: FolderTabl
     groups = tables.navigation
     taken = {int(k) for rows in groups.rows.values() for k in rows.group}
     notes += unused(groups.names, taken, "navigation group")
-    notes += [
+    times = [
         f"times of navigation group {name} count from their mean, {origin:.10g}"
         for name, origin in zip(groups.names, groups.origin.tolist(), strict=True)
         if origin
     ]
     files = [file for file in USUAL_FILES if file not in toml.tables.values() and (folder / file).exists()]
-    return (*notes, *(f"{file} is not named in [tables] of {FILE} and takes no part" for file in files))
+    notes += [f"{file} is not named in [tables] of {FILE} and takes no part" for file in files]
+    return (*(Note(Kind.UNUSED, note) for note in notes), *(Note(Kind.INFORMATION, time) for time in times))
 
 
 def _names(structure: Structure, problem: Problem) -> set[str]:

@@ -89,15 +89,14 @@ def findings_of(figures: Figures) -> list[Finding]:
     found += [Finding("suggestion", words) for words in (*suggestions, *_seen_twice(figures))]
     if figures.adjustment.cofactors is None:
         found.append(Finding("note", "no standard deviations were computed"))
-    return found + [Finding("note", note) for note in figures.structure.notes]
+    return found + [Finding("note", note.words) for note in figures.structure.findings]
 
 
 def _undetermined(figures: Figures) -> list[str]:
     """What is not determined, with one sentence for all that has the same cure."""
     by_cure: dict[str, list[str]] = {}
-    for sentence in figures.adjustment.undetermined:
-        what, _, cure = sentence.partition("; ")
-        by_cure.setdefault(cure, []).append(what)
+    for found in figures.adjustment.undetermined:
+        by_cure.setdefault(found.cure, []).append(found.what)
     return [f"{_listed(names)}; {cure}" for cure, names in by_cure.items()]
 
 
@@ -218,7 +217,7 @@ def _insignificant(figures: Figures) -> list[str]:
 
 
 def _insignificant_parameters(figures: Figures) -> list[str]:
-    parameters, told = figures.structure.parameters, " ".join(figures.adjustment.undetermined)
+    parameters, told = figures.structure.parameters, " ".join(found.what for found in figures.adjustment.undetermined)
     if figures.adjustment.cofactors is None:
         return []
     small = [parameters[k].name for k in np.flatnonzero(figures.significance < SIGNIFICANT)]

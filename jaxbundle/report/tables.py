@@ -33,7 +33,7 @@ def dict_of(figures: Figures) -> dict[str, Any]:
         "status": adjustment.status.name.lower().replace("_", " "),
         "trustworthy": adjustment.trustworthy,
         "findings": [[finding.label, finding.words] for finding in findings_of(figures)],
-        "undetermined": list(adjustment.undetermined),
+        "undetermined": [found.words for found in adjustment.undetermined],
         "observations": adjustment.observations,
         "unknowns": adjustment.unknowns,
         "redundancy": adjustment.redundancy,

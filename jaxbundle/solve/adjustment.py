@@ -8,6 +8,7 @@ import numpy as np
 from jaxtyping import Array, Float, Int
 
 from jaxbundle.block.block import Block
+from jaxbundle.block.findings import Finding, Kind, Severity, of_kind
 from jaxbundle.normals.implicit import TOLERANCE
 from jaxbundle.numerics.host import array_module, on_device, on_host
 
@@ -102,7 +103,7 @@ class Adjustment(eqx.Module):
     stopping_rule: str = eqx.field(static=True)
     method: str = eqx.field(static=True)
     reduced: str = eqx.field(static=True)  # how the reduced equations were solved
-    undetermined: tuple[str, ...] = eqx.field(static=True, default=())
+    findings: tuple[Finding, ...] = eqx.field(static=True, default=())  # of the block and of its adjustment
     reweighting: Reweighting | None = None  # None: not robust
 
     @property
@@ -138,8 +139,14 @@ class Adjustment(eqx.Module):
 
     @property
     def trustworthy(self) -> bool:
-        """Converged, with nothing undetermined."""
-        return self.status is Status.CONVERGED and not self.undetermined
+        """Converged, and nothing found that forbids trust."""
+        failed = any(finding.severity is Severity.FAILED for finding in self.findings)
+        return self.status is Status.CONVERGED and not failed
+
+    @property
+    def undetermined(self) -> tuple[Finding, ...]:
+        """What the observations do not determine."""
+        return of_kind(self.findings, Kind.UNDETERMINED)
 
     @property
     def standard_deviations(self) -> StandardDeviations:
@@ -203,7 +210,7 @@ class Adjustment(eqx.Module):
             f"Reduced equations: {REDUCED[self.reduced]}",
             f"vTPv {float(n.initial_cost) * 2:.8g} -> {float(self.vtpv):.8g}, sigma0 {float(self.sigma0):.6g}",
             *([] if self.reweighting is None else [self._reweighted()]),
-            *(f"Undetermined: {name}" for name in self.undetermined[:MOST_NAMED]),
+            *(f"Undetermined: {found.words}" for found in self.undetermined[:MOST_NAMED]),
         ]
         if len(self.undetermined) > MOST_NAMED:
             lines.append(f"... and {len(self.undetermined) - MOST_NAMED} more")

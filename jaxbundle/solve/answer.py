@@ -85,7 +85,7 @@ def adjustment(
         rule,
         method,
         plan.method,
-        weak,
+        (*block.structure.findings, *weak),
     )
 
 

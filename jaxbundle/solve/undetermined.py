@@ -4,6 +4,7 @@ import numpy as np
 from jaxtyping import Float, Int
 
 from jaxbundle.block.block import Structure
+from jaxbundle.block.findings import Finding, Kind, Subject
 from jaxbundle.normals.arrange import Arrangement
 from jaxbundle.normals.cofactors import Cofactors
 from jaxbundle.normals.reduced_system import ReducedSystem
@@ -19,30 +20,35 @@ CURES = {
 }
 
 
-def undetermined_unknowns(structure: Structure, arrangement: Arrangement, cofactors: Cofactors) -> tuple[str, ...]:
-    """One sentence for each direction in which the unknowns can move without any observation noticing."""
+def undetermined_unknowns(structure: Structure, arrangement: Arrangement, cofactors: Cofactors) -> tuple[Finding, ...]:
+    """One finding for each direction in which the unknowns can move without any observation noticing."""
     a = arrangement
     shares = np.ones(a.order.points)
     shares[: a.places] = on_host(cofactors.point_pivots).ravel()
     loose = np.nonzero(~(shares[a.order.point] > WEAKEST_SHARE))[0]
-    sentences = [f"point {structure.point_names[p]}; {CURES['point']}" for p in loose]
+    found = [_finding("point", f"point {structure.point_names[p]}", structure.point_names[p]) for p in loose]
     pivots = np.concatenate([np.asarray(cofactors.image_pivots).ravel(), np.asarray(cofactors.border_pivots)])
     if np.all(pivots > WEAKEST_SHARE):
-        return tuple(sentences)
+        return tuple(found)
     names = kept_names(structure, a)
     if len(pivots) > MOST_NAMED:
         failed = [names[k] for k in np.nonzero(~(pivots > WEAKEST_SHARE))[0][:1] if k in names]
-        return (*sentences, *(f"{name} or one that is tied to it; {CURES[kind]}" for kind, name in failed))
+        return (*found, *(_finding(kind, f"{name} or one that is tied to it", name) for kind, name in failed))
     matrix = _scaled_matrix(cofactors.system, np.asarray(a.reduced.pair))
     if not np.isfinite(matrix).all():
-        return tuple(sentences)
+        return tuple(found)
     values, vectors = np.linalg.eigh(matrix)
     for vector in vectors.T[values <= WEAKEST_SHARE]:
         large = [k for k in np.argsort(-np.abs(vector), kind="stable")[:6] if k in names]
         large = [k for k in large if abs(vector[k]) > 0.3 * np.abs(vector).max()]
         moved = ", ".join(names[k][1] for k in large)
-        sentences.append(f"{moved}{' (together)' if len(large) > 1 else ''}; {CURES[names[large[0]][0]]}")
-    return tuple(sentences)
+        moved = f"{moved}{' (together)' if len(large) > 1 else ''}"
+        found.append(_finding(names[large[0]][0], moved, *(names[k][1] for k in large)))
+    return tuple(found)
+
+
+def _finding(kind: str, what: str, *names: str) -> Finding:
+    return Finding(Kind.UNDETERMINED, what, CURES[kind], tuple(Subject(f"{kind}s", (name,)) for name in names))
 
 
 def _scaled_matrix(system: ReducedSystem, pair: Int[np.ndarray, "pair 2"]) -> Float[np.ndarray, "kept kept"]:
