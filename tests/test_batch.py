@@ -92,7 +92,7 @@ def test_undetermined_unknowns_are_named(monkeypatch, batch):
     weak = dataclasses.replace(batch.adjustments[0], findings=(Finding(Kind.UNDETERMINED, "point 7", "drop it"),))
     monkeypatch.setattr(module, "adjust", lambda block, **options: weak)
     found = adjust_many([strip(1)])
-    assert not found.trustworthy and found.table()[0].problem == "undetermined: point 7; drop it"
+    assert not found.trustworthy and found.table()[0].problem == "point 7; drop it"
 
 
 def test_ctrl_c_ends_the_batch(monkeypatch, batch):

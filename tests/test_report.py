@@ -1,4 +1,4 @@
-"""The report against the adjustment it tells of, and every sentence of its findings provoked once."""
+"""The report against the adjustment it tells of."""
 
 import dataclasses
 import json
@@ -11,13 +11,9 @@ import polars as pl
 import pytest
 from simulated import small_block
 
-from jaxbundle.block.findings import Finding as Found
-from jaxbundle.block.findings import Kind
-from jaxbundle.report import files, findings, report_dict, report_text, write_report
+from jaxbundle.report import files, report_dict, report_text, write_report
 from jaxbundle.report.columns import WIDTH, aligned, decimals, short, table
-from jaxbundle.report.findings import Finding, global_test
 from jaxbundle.solve.adjust import adjust
-from jaxbundle.solve.adjustment import Status
 
 
 @pytest.fixture(scope="module")
@@ -33,14 +29,6 @@ def report(adjustment):
 def with_structure(adjustment, **changes):
     structure = dataclasses.replace(adjustment.block.structure, **changes)
     return dataclasses.replace(adjustment, block=dataclasses.replace(adjustment.block, structure=structure))
-
-
-def with_normalised(adjustment, rays):
-    return dataclasses.replace(adjustment, weighted_residuals=(jnp.asarray(rays), *adjustment.weighted_residuals[1:]))
-
-
-def words(adjustment, kind):
-    return [finding.words for finding in findings(adjustment) if finding.kind == kind]
 
 
 # The dictionary
@@ -116,103 +104,6 @@ def test_what_is_not_finite_is_null(adjustment):
 
 def test_is_ready_for_json(report):
     assert json.loads(files._json(report)) == json.loads(json.dumps(report, allow_nan=False))
-
-
-# Findings
-
-
-def test_nothing_to_find(adjustment):
-    assert words(adjustment, "not converged") == words(adjustment, "undetermined") == words(adjustment, "note") == []
-    assert [finding.label for finding in findings(adjustment)] == ["suggestion"] * len(findings(adjustment))
-
-
-@pytest.mark.parametrize("status", [status for status in Status if status is not Status.CONVERGED])
-def test_finds_that_it_did_not_converge(adjustment, status):
-    ended = dataclasses.replace(adjustment, iterations=adjustment.iterations._replace(status=jnp.asarray(int(status))))
-    (sentence,) = words(ended, "not converged")
-    assert sentence.startswith(f"the adjustment {status.words}; ")
-    assert findings(ended)[0].label == "problem"
-    assert not any("sigma0" in suggestion for suggestion in words(ended, "suggestion"))
-
-
-def test_finds_what_is_not_determined(adjustment):
-    pairs = [("point 7", "measure it"), ("X0 of image 1_01", "give control"), ("point 9", "measure it")]
-    loose = dataclasses.replace(adjustment, findings=tuple(Found(Kind.UNDETERMINED, *pair) for pair in pairs))
-    assert words(loose, "undetermined") == [
-        "not determined: point 7, point 9; measure it",
-        "not determined: X0 of image 1_01; give control",
-    ]
-    assert report_dict(loose)["undetermined"] == ["; ".join(pair) for pair in pairs]
-    many = dataclasses.replace(
-        adjustment, findings=tuple(Found(Kind.UNDETERMINED, f"point {k}", "measure it") for k in range(12))
-    )
-    assert words(many, "undetermined")[0].endswith("point 9 and 2 more; measure it")
-
-
-@pytest.mark.parametrize(("factor", "verdict"), [(1.5, "worse"), (0.5, "better")])
-def test_finds_a_sigma0_that_is_not_1(adjustment, factor, verdict):
-    scaled = dataclasses.replace(
-        adjustment, weighted_residuals=tuple(factor * v for v in adjustment.weighted_residuals)
-    )
-    test = global_test(float(scaled.sigma0), scaled.redundancy)
-    assert not test.passed
-    (sentence,) = [sentence for sentence in words(scaled, "suggestion") if sentence.startswith("sigma0 is")]
-    assert f"promise {test.lower:.4g} to {test.upper:.4g}: the observations are {verdict} than" in sentence
-
-
-def test_global_test_has_the_tabulated_limits():
-    test = global_test(1.0, 10)  # chi-square of 10 degrees of freedom: 3.247 and 20.483
-    assert (10 * test.lower**2, 10 * test.upper**2) == pytest.approx((3.247, 20.483), abs=1e-3)
-
-
-def test_finds_rays_that_are_off(adjustment):
-    v = np.asarray(adjustment.weighted_residuals[0]).copy()
-    v[7, 1] = 9.0
-    structure = adjustment.block.structure
-    off = with_normalised(adjustment, v)
-    (sentence,) = [sentence for sentence in words(off, "suggestion") if "off by more than" in sentence]
-    point, image = structure.point_names[structure.ray_point[7]], structure.image_names[structure.ray_image[7]]
-    assert sentence.startswith("1 ray is off by more than 4 sigma0 sigma: ")
-    assert f"point {point} on image {image} ({9 / float(off.sigma0):.1f})" in sentence
-
-
-def test_finds_control_that_does_not_fit(adjustment):
-    structure = adjustment.block.structure
-    v = np.asarray(adjustment.weighted_residuals[0]).copy()
-    v[~structure.point_free.all(1)[structure.ray_point]] *= 3
-    assert any(
-        "rays of control points fit" in sentence for sentence in words(with_normalised(adjustment, v), "suggestion")
-    )
-
-
-def test_finds_correlated_and_insignificant_elements(adjustment):
-    q = np.asarray(adjustment.cofactors.interior).copy()
-    q[0, 3, 4] = q[0, 4, 3] = -0.99 * np.sqrt(q[0, 3, 3] * q[0, 4, 4])
-    q[0, 4, 4] *= 1.0001
-    cofactors = adjustment.cofactors._replace(interior=jnp.asarray(q))
-    elements = adjustment.block.interior.elements.at[0, 4].set(0.5 * float(np.sqrt(q[0, 4, 4])))
-    changed = eqx.tree_at(lambda a: (a.cofactors, a.block.interior.elements), adjustment, (cofactors, elements))
-    suggestions = words(changed, "suggestion")
-    assert any(
-        s.startswith("K1 and K2 of camera camera are correlated by -0.990: hold one of them") for s in suggestions
-    )
-    assert "K2 of camera camera is not significant (below 2 sd): hold it at 0" in suggestions
-
-
-def test_finds_points_seen_twice_only_when_they_are_many(adjustment):
-    structure = adjustment.block.structure
-    assert not any("two images only" in sentence for sentence in words(adjustment, "suggestion"))
-    first = np.arange(len(structure.ray_point)) % (len(structure.ray_point) // 2)
-    twice = with_structure(adjustment, ray_point=np.minimum(first, len(structure.point_names) - 1).astype(np.int32))
-    assert any("are on two images only" in sentence for sentence in words(twice, "suggestion"))
-
-
-def test_tells_what_was_left_out(adjustment):
-    noted = with_structure(
-        dataclasses.replace(adjustment, cofactors=None), findings=(Found(Kind.UNUSED, "camera b has no image"),)
-    )
-    assert words(noted, "note") == ["no standard deviations were computed", "camera b has no image"]
-    assert Finding("note", "").label == "note"
 
 
 # The text

@@ -13,9 +13,11 @@ from simulated import small_block
 from surveyed import BARS, GON, PAIRS, make_surveyed_folder
 
 from jaxbundle.block.block import Datum
+from jaxbundle.block.findings import Kind, Subject
 from jaxbundle.block.observations import ObservationKind, observation_group
+from jaxbundle.diagnosis.adjusted import findings
 from jaxbundle.io import read_block_folder
-from jaxbundle.report import files, findings, report_dict, report_text, write_report
+from jaxbundle.report import files, report_dict, report_text, write_report
 from jaxbundle.report.columns import WIDTH
 from jaxbundle.report.group_tables import table_names
 from jaxbundle.solve.adjust import adjust
@@ -41,7 +43,7 @@ def simple():
 
 
 def words(adjustment) -> list[str]:
-    return [finding.words for finding in findings(adjustment) if finding.kind == "suggestion"]
+    return [finding.words for finding in findings(adjustment)]
 
 
 # Parameters
@@ -67,9 +69,10 @@ def test_significance_is_told_where_0_has_a_meaning(adjustment) -> None:
     told = {name for name, entry in parameters.items() if entry["t"] is not None}
     free = {p.name for p in adjustment.block.structure.parameters if p.free}
     assert told == {name for name in free if name.split()[0] in ("shift", "drift", "boresight")}
-    (sentence,) = [sentence for sentence in words(adjustment) if "not significant" in sentence]
-    small = {name for name in told if parameters[name]["t"] < 2}
-    assert small and all(name in sentence for name in small) and "shift X of strip 1" not in sentence
+    (found,) = [finding for finding in findings(adjustment) if finding.kind is Kind.INSIGNIFICANT]
+    held = {subject.names[0] for subject in found.subjects}
+    assert held and held <= {name for name in told if parameters[name]["t"] < 2}
+    assert all(name in found.what for name in held) and found.cure == "hold them at 0"
 
 
 def with_parameter_cofactors(adjustment, change_of):
@@ -86,7 +89,7 @@ def test_finds_correlated_parameters(adjustment) -> None:
 
     changed = with_parameter_cofactors(adjustment, correlate)
     (sentence,) = [sentence for sentence in words(changed) if "shift X of strip 1 and shift Z" in sentence]
-    assert "are correlated by -0.980: hold one of them, or give it a value with a sigma" in sentence
+    assert "by -0.980; hold one of each pair, or give it a value with a sigma" in sentence
     assert "-0.9800" in report_text(changed)
     (pair,) = report_dict(changed)["high_parameter_correlations"]
     assert pair == ["shift X of strip 1", "shift Z of strip 1", pytest.approx(-0.98)]
@@ -99,10 +102,9 @@ def test_finds_parameters_without_standard_deviation(adjustment) -> None:
         q[k, k] = np.nan
 
     changed = with_parameter_cofactors(adjustment, lose)
-    assert (
-        "no standard deviation can be given of shift X of strip 1: hold what has none, or give it a value"
-        in "\n".join(words(changed))
-    )
+    (found,) = [finding for finding in findings(changed) if finding.kind is Kind.WEAK]
+    assert found.subjects == (Subject("parameters", ("shift X of strip 1",)),)
+    assert found.what == "1 parameter without a standard deviation: shift X of strip 1"
     assert report_dict(changed)["parameters"]["shift X of strip 1"]["value"][1] is None
 
 
@@ -210,7 +212,7 @@ def test_robust_weights(simple, tmp_path) -> None:
     ]
     (sentence,) = [sentence for sentence in words(low) if "robust weight" in sentence]
     assert sentence.startswith("2 rays have a robust weight below 0.5: ")
-    assert f"point {names[0][1]} on image {names[0][0]} (0.02); point {names[1][1]}" in sentence
+    assert f"point {names[0][1]} on image {names[0][0]} (0.02), point {names[1][1]}" in sentence
     report = report_dict(low)["robust"]
     assert (report["function"], report["limit"]) == ("huber", 2.45)
     assert report["down_weighted"] == [[*names[0], 0.02], [*names[1], 0.4]]

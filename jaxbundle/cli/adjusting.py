@@ -8,15 +8,16 @@ import typer
 
 from jaxbundle.block.block import Block
 from jaxbundle.block.changes import with_interior_held
+from jaxbundle.block.findings import Severity
 from jaxbundle.block.problems import BlockError
 from jaxbundle.cli.progress import ProgressLines
 from jaxbundle.cli.runtime import finished
+from jaxbundle.diagnosis.adjusted import findings
 from jaxbundle.io import read
 from jaxbundle.normals.reduced_plan import Method
 from jaxbundle.numerics.devices import is_first_process
 from jaxbundle.report.columns import wrapped
 from jaxbundle.report.files import require_place, write_report
-from jaxbundle.report.findings import findings
 from jaxbundle.solve.adjust import adjust
 from jaxbundle.solve.adjustment import Adjustment
 from jaxbundle.solve.checkpoint import CheckpointError
@@ -90,11 +91,11 @@ def _adjusted(block: Block, wanted: Wanted, rule: AbstractStoppingRule, lines: P
 
 
 def echo_result(adjustment: Adjustment) -> None:
-    """Summary and findings; undetermined unknowns are in the summary already."""
+    """Summary and findings; those that forbid trust are in the summary already."""
     typer.echo(adjustment.summary())
     for finding in findings(adjustment):
-        if finding.kind != "undetermined":
-            typer.echo("\n".join(wrapped(finding.label, finding.words, 14)))
+        if finding.severity is not Severity.FAILED:
+            typer.echo("\n".join(wrapped(finding.severity.label, finding.words, 14)))
 
 
 def weight_function(name: str | None, limit: float | None) -> AbstractWeightFunction | None:

@@ -6,14 +6,14 @@ import numpy as np
 from jaxtyping import Bool, Float, Int
 
 from jaxbundle.block.block import Structure
+from jaxbundle.block.findings import Finding
 from jaxbundle.block.observations import CONTROL, ObservationGroup
+from jaxbundle.diagnosis.adjusted import findings
 from jaxbundle.io.settings import RADIANS
 from jaxbundle.report.group_tables import GroupTable, group_tables
 from jaxbundle.solve.adjustment import DOWN_WEIGHTED, Adjustment
 from jaxbundle.statistics.reliability import reliability
-
-HIGH_CORRELATION = 0.95
-WITHOUT_ZERO = ("directions", "scale_bars", "planes", "lines")  # kinds whose parameters are not expected to be 0
+from jaxbundle.statistics.significance import parameter_ratios
 
 
 @dataclass(frozen=True, eq=False)
@@ -39,6 +39,7 @@ class Figures:
     residuals: tuple[Float[np.ndarray, "_member _component"], ...]
     normalised: tuple[Float[np.ndarray, "_member _component"], ...]
     tables: list[GroupTable]
+    findings: tuple[Finding, ...]
     rays_of_point: Int[np.ndarray, " point"]
     rays_of_image: Int[np.ndarray, " image"]
 
@@ -85,28 +86,7 @@ class Figures:
     @property
     def significance(self) -> Float[np.ndarray, " parameter"]:
         """|value| / sd of the parameters; NaN where it tells nothing: held, not determined, or 0 has no meaning."""
-        tested = self.structure.parameter_free
-        for group in self.groups:
-            structure = group.structure
-            if structure.kind.name in WITHOUT_ZERO:
-                touched = [k for k, kind in enumerate(structure.kind.touches) if kind == "parameter"]
-                tested[structure.indices[:, touched].ravel()] = False
-        known = tested & (self.parameters_sd > 0)
-        return np.where(known, np.abs(self.parameters) / np.where(known, self.parameters_sd, 1.0), np.nan)
-
-    def parameter_correlations(self) -> list[tuple[str, str, float]]:
-        """Two parameters and their correlation, where it is high; the highest first."""
-        if self.adjustment.cofactors is None or not len(self.parameters):
-            return []
-        q = np.asarray(self.adjustment.cofactors.parameters)
-        root = np.sqrt(np.diagonal(q))
-        known = self.structure.parameter_free & (root > 0)
-        scale = np.where(known, 1 / np.where(known, root, 1.0), 0.0)
-        r = np.triu(scale[:, None] * q * scale, 1)
-        rows, columns = np.nonzero(np.abs(r) > HIGH_CORRELATION)
-        order = np.argsort(-np.abs(r[rows, columns]), kind="stable")
-        names = [parameter.name for parameter in self.structure.parameters]
-        return [(names[a], names[b], float(r[a, b])) for a, b in zip(rows[order], columns[order], strict=True)]
+        return parameter_ratios(self.adjustment)
 
     def correlations(self) -> list[tuple[int, str, str, float]]:
         """Camera, two of its unknown elements and their correlation, for every pair."""
@@ -158,6 +138,7 @@ def figures_of(adjustment: Adjustment) -> Figures:
         residuals,
         normalised,
         group_tables(block, residuals[1:], normalised[1:], *_reliability(adjustment)),
+        findings(adjustment),
         np.bincount(structure.ray_point, minlength=len(structure.point_names)),
         np.bincount(structure.ray_image, minlength=len(structure.image_names)),
     )

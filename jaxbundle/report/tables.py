@@ -10,8 +10,10 @@ from typing import Any
 import numpy as np
 
 from jaxbundle.block.block import Structure
+from jaxbundle.block.findings import Finding
+from jaxbundle.diagnosis.elements import correlated_parameters
+from jaxbundle.diagnosis.sigmas import global_test
 from jaxbundle.report.figures import Figures, figures_of
-from jaxbundle.report.findings import findings_of, global_test
 from jaxbundle.report.reliability_table import reliability_of_groups
 from jaxbundle.solve.adjustment import Adjustment
 
@@ -32,8 +34,7 @@ def dict_of(figures: Figures) -> dict[str, Any]:
         "units": {"object": structure.object_unit, "angle": structure.angle_unit},
         "status": adjustment.status.name.lower().replace("_", " "),
         "trustworthy": adjustment.trustworthy,
-        "findings": [[finding.label, finding.words] for finding in findings_of(figures)],
-        "undetermined": [found.words for found in adjustment.undetermined],
+        "findings": [_finding(finding) for finding in figures.findings],
         "observations": adjustment.observations,
         "unknowns": adjustment.unknowns,
         "redundancy": adjustment.redundancy,
@@ -58,7 +59,20 @@ def dict_of(figures: Figures) -> dict[str, Any]:
         **_inner_orientations(figures),
         "correlations": _correlations(figures),
         "reliability": reliability_of_groups(figures),
-        "high_parameter_correlations": [list(pair) for pair in figures.parameter_correlations()],
+        "high_parameter_correlations": [list(pair) for pair in correlated_parameters(adjustment)],
+    }
+
+
+def _finding(finding: Finding) -> dict[str, Any]:
+    """A finding for other programs: they need not read its sentences."""
+    return {
+        "severity": finding.severity.label,
+        "kind": finding.kind.title,
+        "what": finding.what,
+        "cure": finding.cure,
+        "subjects": [{"table": s.table, "names": list(s.names), "component": s.component} for s in finding.subjects],
+        "size": _number(finding.size),
+        "unit": finding.unit,
     }
 
 

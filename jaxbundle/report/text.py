@@ -1,13 +1,16 @@
 """The report as plain text: problems and suggestions first, then the figures."""
 
 import textwrap
+from collections.abc import Sequence
 
 import numpy as np
 
+from jaxbundle.block.findings import Finding
 from jaxbundle.block.observations import CONTROL
+from jaxbundle.diagnosis.elements import HIGH_CORRELATION, correlated_parameters
+from jaxbundle.diagnosis.sigmas import global_test
 from jaxbundle.report.columns import NAME, WIDTH, aligned, decimals, deviation, fixed, short, table, wrapped
-from jaxbundle.report.figures import HIGH_CORRELATION, Figures, figures_of
-from jaxbundle.report.findings import Finding, findings_of, global_test
+from jaxbundle.report.figures import Figures, figures_of
 from jaxbundle.report.group_tables import GroupTable
 from jaxbundle.report.reliability_table import reliability_lines
 from jaxbundle.report.tables import inner_constraints
@@ -26,7 +29,7 @@ def text_of(figures: Figures) -> str:
     """`report_text` from numbers that are converted already."""
     structure = figures.structure
     sections: list[tuple[str, list[str]]] = [
-        ("Problems and suggestions", finding_lines(findings_of(figures))),
+        ("Problems and suggestions", finding_lines(figures.findings)),
         ("Adjustment", _adjustment(figures)),
         ("Observations", _observations(figures)),
         ("Images: adjusted value and standard deviation below", _images(figures)),
@@ -50,11 +53,11 @@ def text_of(figures: Figures) -> str:
     return "\n".join(line.rstrip() for line in lines).encode("ascii", "replace").decode() + "\n"
 
 
-def finding_lines(found: list[Finding]) -> list[str]:
+def finding_lines(found: Sequence[Finding]) -> list[str]:
     """Findings as lines of text."""
     if not found:
         return ["  none"]
-    return [line for finding in found for line in wrapped(finding.label, finding.words, 14)]
+    return [line for finding in found for line in wrapped(finding.severity.label, finding.words, 14)]
 
 
 def _adjustment(figures: Figures) -> list[str]:
@@ -310,6 +313,8 @@ def _worst_rays(figures: Figures) -> list[str]:
 def _correlations(figures: Figures) -> list[str]:
     high = [pair for pair in figures.correlations() if abs(pair[3]) > HIGH_CORRELATION]
     pairs = [(short(figures.structure.cameras[c].name), a, b, r) for c, a, b, r in high]
-    pairs += [("", short(a, PARAMETER), short(b, PARAMETER), r) for a, b, r in figures.parameter_correlations()]
+    pairs += [
+        ("", short(a, PARAMETER), short(b, PARAMETER), r) for a, b, r in correlated_parameters(figures.adjustment)
+    ]
     rows = [(camera, a, b, f"{r:.4f}") for camera, a, b, r in pairs[:CAMERAS]]
     return table(("camera", "", "", "correlation"), rows, len(pairs), "pairs", left=3) if rows else []

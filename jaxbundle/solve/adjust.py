@@ -33,6 +33,7 @@ from jaxbundle.solve.levenberg_marquardt import Arguments, BundleSolver, State
 from jaxbundle.solve.robust import AbstractWeightFunction, Solve, adjust_robustly
 from jaxbundle.solve.search import DampedSearch, FullStep
 from jaxbundle.solve.stopping import AbstractStoppingRule, AngleRule
+from jaxbundle.solve.verdict import with_verdict
 
 METHODS = {"levenberg-marquardt": DampedSearch, "gauss-newton": FullStep}
 ENGINES = ("block", "jaxopt")
@@ -94,13 +95,14 @@ def adjust(
         require_same_block(values, method)
     wanted = _Wanted(method, stop or AngleRule(), max_iterations, engine, reduced, devices, derivatives, progress)
     if robust is None:
-        return _least_squares(block, wanted, precision, checkpoint)
+        found = _least_squares(block, wanted, precision, checkpoint)
+        return with_verdict(found) if values.concrete else found
     if checkpoint is not None:
         raise ValueError("a robust adjustment solves many times and keeps no checkpoint")
     solve = Solve(
         lambda b: _least_squares(b, wanted, False, None), lambda b: _least_squares(b, wanted, precision, None)
     )
-    return adjust_robustly(block, robust, solve)
+    return with_verdict(adjust_robustly(block, robust, solve))
 
 
 def require_options(

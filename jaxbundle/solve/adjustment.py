@@ -17,7 +17,6 @@ REDUCED = {
     "panels": "sparse Cholesky factorisation in panels of images",
     "pcg": f"preconditioned conjugate gradients to {TOLERANCE:.0e} of the right-hand side",
 }
-MOST_NAMED = 10  # undetermined unknowns in a summary
 DOWN_WEIGHTED = 0.5  # a robust weight below which a ray is listed
 
 
@@ -140,8 +139,20 @@ class Adjustment(eqx.Module):
     @property
     def trustworthy(self) -> bool:
         """Converged, and nothing found that forbids trust."""
-        failed = any(finding.severity is Severity.FAILED for finding in self.findings)
-        return self.status is Status.CONVERGED and not failed
+        return self.status is Status.CONVERGED and not self.failures
+
+    @property
+    def failures(self) -> tuple[Finding, ...]:
+        """What forbids the use of this result."""
+        return tuple(finding for finding in self.findings if finding.severity is Severity.FAILED)
+
+    @property
+    def verdict(self) -> str:
+        """What the result is worth: how the iterations ended, and that it must not be used where that is so."""
+        others = [finding for finding in self.failures if finding.kind is not Kind.NOT_CONVERGED]
+        if not others:
+            return self.status.words
+        return f"{self.status.words}, but its result must not be used: {others[0].kind.title}"
 
     @property
     def undetermined(self) -> tuple[Finding, ...]:
@@ -203,17 +214,15 @@ class Adjustment(eqx.Module):
         )
         lines = [
             f"Block {structure.name or '(unnamed)'}: {', '.join(counts)}",
-            f"The adjustment {self.status.words} ({self.method}, {int(n.accepted)} steps of {int(n.trials)} tried,"
+            f"The adjustment {self.verdict} ({self.method}, {int(n.accepted)} steps of {int(n.trials)} tried,"
             f" stopping rule {self.stopping_rule}: {float(n.measure):.1e})",
             f"Observations {self.observations}, unknowns {self.unknowns}, redundancy {self.redundancy}",
             f"Datum: {structure.datum}",
             f"Reduced equations: {REDUCED[self.reduced]}",
             f"vTPv {float(n.initial_cost) * 2:.8g} -> {float(self.vtpv):.8g}, sigma0 {float(self.sigma0):.6g}",
             *([] if self.reweighting is None else [self._reweighted()]),
-            *(f"Undetermined: {found.words}" for found in self.undetermined[:MOST_NAMED]),
+            *(f"Failed: {finding.words}" for finding in self.failures),
         ]
-        if len(self.undetermined) > MOST_NAMED:
-            lines.append(f"... and {len(self.undetermined) - MOST_NAMED} more")
         return "\n".join(lines)
 
 

@@ -33,8 +33,7 @@ class Row(NamedTuple):
 def row_of(name: str, a: Adjustment, seconds: float) -> Row:
     """The row of an adjustment."""
     status = a.status.name.lower().replace("_", " ")
-    words = [] if a.status is Status.CONVERGED else [f"the adjustment {a.status.words}"]
-    problem = "; ".join([*words, *(f"undetermined: {found.words}" for found in a.undetermined)])
+    problem = "; ".join(finding.words for finding in a.failures)
     sigma0, iterations = float(a.sigma0), int(a.iterations.trials)
     return Row(name, status, a.observations, a.unknowns, a.redundancy, sigma0, iterations, seconds, problem)
 

@@ -1,0 +1,33 @@
+"""Everything that is found about an adjustment, in the order of a report."""
+
+from jaxbundle.block.findings import Finding, Kind, Severity, in_order
+from jaxbundle.diagnosis.controlled import controlled_findings
+from jaxbundle.diagnosis.elements import element_findings
+from jaxbundle.diagnosis.points import point_findings
+from jaxbundle.diagnosis.reweighted import robust_findings
+from jaxbundle.diagnosis.sigmas import sigma_findings
+from jaxbundle.solve.adjustment import Adjustment, Status
+
+NO_ERRORS = 1e-6  # sigma0 of observations that have none: residuals are rounding
+NOT_A_MINIMUM = (Kind.MIRRORED, Kind.UNDETERMINED)  # what residuals tell is told of a result that could be right
+
+
+def findings(adjustment: Adjustment) -> tuple[Finding, ...]:
+    """What is wrong with a concrete adjustment or should be looked at: what forbids its use first, then causes before
+    consequences."""
+    found = [*adjustment.findings, *robust_findings(adjustment)]
+    if adjustment.status is Status.CONVERGED:
+        misled = any(f.kind in NOT_A_MINIMUM and f.severity is Severity.FAILED for f in adjustment.findings)
+        if not misled:
+            found += _of_residuals(adjustment)
+        found += [*element_findings(adjustment), *point_findings(adjustment), *controlled_findings(adjustment)]
+    if adjustment.cofactors is None:
+        found.append(Finding(Kind.NO_PRECISION, "no standard deviations were computed"))
+    return in_order(found)
+
+
+def _of_residuals(adjustment: Adjustment) -> tuple[Finding, ...]:
+    """Suspects and sigmas; robust weights make residuals small by themselves."""
+    if adjustment.reweighting is not None or float(adjustment.sigma0) < NO_ERRORS:
+        return ()
+    return sigma_findings(adjustment)

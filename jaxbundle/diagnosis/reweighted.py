@@ -1,0 +1,28 @@
+"""What robust weights tell: rays that lost theirs, and weights that did not settle."""
+
+import numpy as np
+
+from jaxbundle.block.findings import Finding, Kind
+from jaxbundle.diagnosis.wording import counted, named, ray_name, ray_subject
+from jaxbundle.solve.adjustment import DOWN_WEIGHTED, Adjustment
+
+
+def robust_findings(adjustment: Adjustment) -> tuple[Finding, ...]:
+    """None of an adjustment by least squares."""
+    robust, structure = adjustment.reweighting, adjustment.block.structure
+    if robust is None:
+        return ()
+    found, weights = [], np.asarray(robust.weights)
+    low = np.flatnonzero(weights < DOWN_WEIGHTED)
+    low = low[np.argsort(weights[low], kind="stable")]
+    if len(low):
+        listed = named([f"{ray_name(structure, ray)} ({weights[ray]:.2g})" for ray in low.tolist()])
+        have = "has" if len(low) == 1 else "have"
+        what = f"{counted(len(low), 'ray')} {have} a robust weight below {DOWN_WEIGHTED:g}: {listed}"
+        cure = "measure them again or drop those with gross errors, and adjust by least squares"
+        subjects = tuple(ray_subject(structure, ray) for ray in low.tolist())
+        found.append(Finding(Kind.DOWN_WEIGHTED, what, cure, subjects, len(low)))
+    if not robust.settled:
+        what = f"the robust weights were still changing after {robust.rounds} rounds"
+        found.append(Finding(Kind.UNSETTLED, what, "take another weight function or a larger limit"))
+    return tuple(found)

@@ -1,0 +1,101 @@
+"""Whether the sigmas given agree with the residuals: the global test, and the factor of each group.
+
+    sigma0 = sqrt(v^T P v / (M - N))            between the roots of chi-square / (M - N), two-sided
+    factor = sqrt(sum v^2 P / sum r)            of a group: what its sigmas must be multiplied by
+
+A group differs from the others where the ratio of its factor^2 to that of all other observations lies outside of the
+limits of Fisher's F.
+
+With sigmas that are right, sigma0 lies between its limits in 95 of 100 adjustments (Kraus 2007, app. 4.2). The factors
+are absolute: sigmas multiplied by them agree with the residuals (Foerstner 1979, first step).
+"""
+
+from typing import NamedTuple
+
+import numpy as np
+from scipy.special import chdtri, fdtrc
+
+from jaxbundle.block.findings import Finding, Kind, Subject
+from jaxbundle.solve.adjustment import Adjustment
+from jaxbundle.statistics.reliability import redundancy_numbers
+from jaxbundle.statistics.subsets import three_groups
+
+LEVEL = 0.05
+FEW = 3.0  # redundancy: a group of less says nothing of its sigma
+GROUP_LEVEL = 0.01  # of all groups together, for factors that differ from those of the other observations
+
+
+class GlobalTest(NamedTuple):
+    """sigma0 and the limits between which it should lie."""
+
+    sigma0: float
+    lower: float
+    upper: float
+
+    @property
+    def passed(self) -> bool:
+        """Whether sigma0 agrees with the a-priori sigmas."""
+        return self.lower <= self.sigma0 <= self.upper
+
+
+class GroupFactor(NamedTuple):
+    """A group of observations and what its sigmas should be multiplied by; `differs` from the rest of the block."""
+
+    name: str
+    redundancy: float
+    factor: float
+    differs: bool
+
+
+def global_test(sigma0: float, redundancy: int) -> GlobalTest:
+    """The test of sigma0 against 1, two-sided at 5 %."""
+    lower, upper = np.sqrt(chdtri(redundancy, [1 - LEVEL / 2, LEVEL / 2]) / redundancy)
+    return GlobalTest(sigma0, float(lower), float(upper))
+
+
+def group_factors(adjustment: Adjustment) -> list[GroupFactor]:
+    """The factors of the groups of observations that have enough redundancy to tell one.
+
+    Raises: ValueError where the adjustment has no redundancy numbers.
+    """
+    numbers = redundancy_numbers(adjustment)
+    squared = [np.asarray(v) ** 2 for v in adjustment.weighted_residuals]
+    total, all_squares = adjustment.redundancy, float(adjustment.vtpv)
+    factors, groups = [], three_groups(adjustment.block)
+    for group in groups:
+        redundancy, squares = (
+            float(sum(t[mask].sum() for t, mask in zip(table, group.masks, strict=True)))
+            for table in (numbers, squared)
+        )
+        if redundancy < FEW:
+            continue
+        differs = False
+        if total - redundancy >= FEW and all_squares > squares:
+            ratio = squares / redundancy / ((all_squares - squares) / (total - redundancy))
+            share = fdtrc(redundancy, total - redundancy, ratio)
+            differs = bool(min(share, 1 - share) < GROUP_LEVEL / 2 / len(groups))
+        factors.append(GroupFactor(group.name, redundancy, float(np.sqrt(squares / redundancy)), differs))
+    return factors
+
+
+def sigma_findings(adjustment: Adjustment) -> tuple[Finding, ...]:
+    """One finding where the sigmas do not agree with the residuals: of the whole block, or group by group."""
+    test = global_test(float(adjustment.sigma0), adjustment.redundancy)
+    limits = f"between {test.lower:.3f} and {test.upper:.3f} is expected"
+    factors = group_factors(adjustment) if adjustment.redundancy_numbers is not None else []
+    if any(factor.differs for factor in factors):
+        listed = "; ".join(f"{f.name} by {f.factor:.2f}" for f in factors)
+        what = f"sigma0 is {test.sigma0:.4g} ({limits}), and the groups of observations disagree about their sigmas"
+        cure = f"multiply the sigmas of {listed}, or estimate variance components"
+        subjects = tuple(Subject("groups", (f.name,)) for f in factors if f.differs)
+        return (Finding(Kind.SIGMAS, what, cure, subjects, test.sigma0),)
+    if test.passed:
+        return ()
+    what = f"sigma0 is {test.sigma0:.4g}, {limits}"
+    if test.sigma0 > test.upper:
+        reason = "the observations are less accurate than their sigmas, or gross or systematic errors are left"
+        cure = f"look at the largest w first, else multiply all sigmas by {test.sigma0:.3g}"
+    else:
+        reason = "the observations are more accurate than their sigmas"
+        cure = f"multiply all sigmas by {test.sigma0:.3g}"
+    return (Finding(Kind.GLOBAL_TEST, f"{what}: {reason}", cure, size=test.sigma0),)
