@@ -114,7 +114,7 @@ def test_text_opens_with_findings_and_fits_the_page(adjustment):
     assert text.isascii() and max(map(len, text.splitlines())) <= WIDTH
     titles = [a for a, b in zip(text.splitlines(), text.splitlines()[1:], strict=False) if b and set(b) == {"-"}]
     assert titles[:4] == [
-        "Problems and suggestions",
+        "Verdict",
         "Adjustment",
         "Observations",
         "Images: adjusted value and standard deviation below",
@@ -122,10 +122,10 @@ def test_text_opens_with_findings_and_fits_the_page(adjustment):
     assert titles[4:] == [
         "Cameras: estimated elements",
         "Object points",
-        "Control points: adjusted less observed",
+        "Control points: adjusted less observed [m]",
         "Stations: computed less observed",
         "Check points: adjusted less known",
-        "Largest residuals of rays",
+        "Rays of the largest |w|/sigma0",
         *titles[10:],
     ]
     unknown = adjustment.block.structure.point_free.any(1).sum()

@@ -22,6 +22,7 @@ from jaxbundle.geometry.rotation import OMEGA_PHI_KAPPA, RotationSystem
 from jaxbundle.numerics.host import array_module, is_concrete, on_device, on_host
 
 CENTRE_ELEMENTS = ("X0", "Y0", "Z0")
+IN_IMAGE_UNIT = ("principal_distance", "x0", "y0", "f")  # interior elements that are lengths in the image
 
 
 @dataclass(frozen=True)
@@ -34,6 +35,11 @@ class Camera:
     width: int | None = None
     height: int | None = None
     metric: bool = False  # a px camera whose principal distance is in mm: it has a pixel size
+
+    def unit_of(self, element: str) -> str:
+        """Unit of an interior element, "" of one without a unit, as most coefficients are."""
+        in_mm = self.metric or self.image_unit == "mm"
+        return ("mm" if in_mm else self.image_unit) if element in IN_IMAGE_UNIT else ""
 
 
 @dataclass(frozen=True)

@@ -47,7 +47,7 @@ def _weak(adjustment: Adjustment) -> list[Finding]:
         share = abs(sd[c, k] / values[c, k]) if structure.interior_free[c, k] else 0.0
         if not share > WEAK_DISTANCE:
             continue
-        unit = "mm" if camera.metric or camera.image_unit == "mm" else "px"
+        unit = camera.unit_of("principal_distance")
         what = (
             f"principal_distance of camera {camera.name} is {figure(values[c, k], 6)} +- {figure(sd[c, k])} {unit}"
             f" ({share:.0%}): it is hardly separated from the distances of the stations to the points"

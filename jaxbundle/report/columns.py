@@ -7,6 +7,7 @@ from collections.abc import Sequence
 import numpy as np
 
 WIDTH = 110
+LARGEST_FIXED = 1e12  # with four decimals already beyond double precision
 NAME = 18  # longer names are shortened in the text; tables have them in full
 
 
@@ -39,8 +40,15 @@ def decimals(deviations: np.ndarray) -> int:
 
 
 def fixed(value: float, places: int) -> str:
-    """A number with so many decimals; "-" where there is none."""
-    return f"{value:.{places}f}" if math.isfinite(value) else "-"
+    """A number with so many decimals; "-" where there is none, and with an exponent where it is absurdly large."""
+    if not math.isfinite(value):
+        return "-"
+    return f"{value:.{places}f}" if abs(value) < LARGEST_FIXED else f"{value:.6g}"
+
+
+def with_unit(name: str, unit: str) -> str:
+    """The head of a column."""
+    return f"{name} [{unit}]" if unit else name
 
 
 def deviation(value: float, places: int) -> str:

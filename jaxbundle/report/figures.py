@@ -39,6 +39,7 @@ class Figures:
     residuals: tuple[Float[np.ndarray, "_member _component"], ...]
     normalised: tuple[Float[np.ndarray, "_member _component"], ...]
     tables: list[GroupTable]
+    ray_w: Float[np.ndarray, "ray 2"] | None
     findings: tuple[Finding, ...]
     rays_of_point: Int[np.ndarray, " point"]
     rays_of_image: Int[np.ndarray, " image"]
@@ -65,8 +66,8 @@ class Figures:
 
     @property
     def ray_size(self) -> Float[np.ndarray, " ray"]:
-        """The larger of a ray's two |v| / (sigma0 sigma); 0 where nothing is left to be compared with."""
-        size = np.abs(self.normalised[0]).max(1, initial=0.0)
+        """The larger of a ray's two |w| / sigma0, or |v| / (sigma0 sigma) where there is no w; 0 for sigma0 = 0."""
+        size = np.abs(self.normalised[0] if self.ray_w is None else self.ray_w).max(1, initial=0.0)
         return size / self.sigma0 if self.sigma0 > 0 else np.zeros_like(size)
 
     @property
@@ -138,6 +139,7 @@ def figures_of(adjustment: Adjustment) -> Figures:
         residuals,
         normalised,
         group_tables(block, residuals[1:], normalised[1:], *_reliability(adjustment)),
+        None if adjustment.redundancy_numbers is None else reliability(adjustment).w[0],
         findings(adjustment),
         np.bincount(structure.ray_point, minlength=len(structure.point_names)),
         np.bincount(structure.ray_image, minlength=len(structure.image_names)),

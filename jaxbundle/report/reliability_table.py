@@ -28,8 +28,8 @@ def reliability_of_groups(figures: Figures) -> dict[str, dict[str, Any]]:
             "mean": float(r.mean()),
             "smallest": float(r.min()),
             "uncontrolled": int((~controlled).sum()),
-            "largest_w": float(np.abs(w[controlled]).max(initial=0.0)),
-            "largest_mde": float(mde[controlled].max(initial=0.0)),
+            "largest_w": float(np.nanmax(np.abs(w), initial=0.0)) / max(figures.sigma0, np.finfo(float).tiny),
+            "largest_mde": float(mde.max(initial=0.0)),
         }
     return groups
 
@@ -49,5 +49,5 @@ def reliability_lines(figures: Figures) -> list[str]:
         )
         for name, g in reliability_of_groups(figures).items()
     ]
-    header = ("group", "number", "sum r", "mean r", "least r", "uncontrolled", "largest |w|", "largest MDE")
+    header = ("group", "number", "sum r", "mean r", "least r", "r < 0.04", "largest |w|/sigma0", "largest MDE")
     return aligned([header, *rows]) if rows else []

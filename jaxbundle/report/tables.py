@@ -4,7 +4,8 @@ A value stands as [value, standard deviation]: a posteriori, object unit and ang
 None = not known.
 """
 
-from collections.abc import Iterable, Sequence
+import math
+from collections.abc import Iterable, Mapping, Sequence
 from typing import Any
 
 import numpy as np
@@ -28,7 +29,7 @@ def dict_of(figures: Figures) -> dict[str, Any]:
     adjustment, structure = figures.adjustment, figures.structure
     test = global_test(figures.sigma0, adjustment.redundancy)
     unknown, check = figures.unknown_points, structure.check_point
-    return {
+    report = {
         "kind": "block",
         "name": structure.name,
         "units": {"object": structure.object_unit, "angle": structure.angle_unit},
@@ -38,28 +39,29 @@ def dict_of(figures: Figures) -> dict[str, Any]:
         "observations": adjustment.observations,
         "unknowns": adjustment.unknowns,
         "redundancy": adjustment.redundancy,
-        "sigma0": _number(figures.sigma0),
+        "sigma0": figures.sigma0,
         "sigma0_limits": [test.lower, test.upper],
-        "vtPv": _number(figures.vtpv),
-        "vtPv_at_start": _number(2 * float(adjustment.iterations.initial_cost)),
+        "vtPv": figures.vtpv,
+        "vtPv_at_start": 2 * float(adjustment.iterations.initial_cost),
         "method": adjustment.method,
         "iterations": int(adjustment.iterations.trials),
         "stopping_rule": adjustment.stopping_rule,
-        "measure": _number(float(adjustment.iterations.measure)),
+        "measure": float(adjustment.iterations.measure),
         "datum": str(structure.datum),
         "constraints": inner_constraints(structure),
         **_robust(figures),
-        "images": _entries(structure.image_names, structure.exterior_elements, figures.exterior, figures.exterior_sd),
-        "points": _entries(
-            [structure.point_names[p] for p in unknown], "XYZ", figures.points[unknown], figures.points_sd[unknown]
-        ),
         "cameras": _cameras(figures),
         "parameters": _parameters(figures),
         "check_points": _check_points(figures, [structure.point_names[p] for p in check]),
         **_inner_orientations(figures),
         "correlations": _correlations(figures),
         "reliability": reliability_of_groups(figures),
-        "high_parameter_correlations": [list(pair) for pair in correlated_parameters(adjustment)],
+        "high_parameter_correlations": correlated_parameters(adjustment),
+    }
+    names = [structure.point_names[p] for p in unknown]
+    return finite(report) | {
+        "images": _entries(structure.image_names, structure.exterior_elements, figures.exterior, figures.exterior_sd),
+        "points": _entries(names, "XYZ", figures.points[unknown], figures.points_sd[unknown]),
     }
 
 
@@ -71,7 +73,7 @@ def _finding(finding: Finding) -> dict[str, Any]:
         "what": finding.what,
         "cure": finding.cure,
         "subjects": [{"table": s.table, "names": list(s.names), "component": s.component} for s in finding.subjects],
-        "size": _number(finding.size),
+        "size": finding.size,
         "unit": finding.unit,
     }
 
@@ -81,25 +83,25 @@ def inner_constraints(structure: Structure) -> int:
     return 0 if structure.datum.held else structure.datum.constraints
 
 
-def _number(value: float) -> float | None:
-    return value if np.isfinite(value) else None
-
-
-def _plain(values: np.ndarray) -> list:
-    """Nested lists with None for what is no finite number."""
-    known = np.isfinite(values)
-    if known.all():
-        return values.tolist()
-    plain = values.astype(object)
-    plain[~known] = None
-    return plain.tolist()
+def finite(value: Any) -> Any:
+    """The same as JSON can hold it: tables by name, lists, names and numbers; None in place of what is not finite."""
+    if isinstance(value, Mapping):
+        return {str(key): finite(item) for key, item in value.items()}
+    if isinstance(value, np.ndarray):
+        known = np.isfinite(value)
+        return value.tolist() if known.all() else np.where(known, value.astype(object), None).tolist()
+    if isinstance(value, np.generic):
+        return finite(value.item())
+    if isinstance(value, list | tuple):
+        return [finite(item) for item in value]
+    return None if isinstance(value, float) and not math.isfinite(value) else value
 
 
 def _entries(
     names: Iterable[str], elements: Sequence[str], values: np.ndarray, deviations: np.ndarray
 ) -> dict[str, dict[str, list]]:
     """name: {element: [value, sd]}."""
-    pairs = _plain(np.stack([values, deviations], -1))
+    pairs = finite(np.stack([values, deviations], -1))
     return {name: dict(zip(elements, row, strict=True)) for name, row in zip(names, pairs, strict=True)}
 
 
@@ -108,15 +110,15 @@ def _cameras(figures: Figures) -> dict[str, dict[str, list]]:
     cameras = {}
     for c in np.flatnonzero(free.any(1)):
         camera, columns = figures.structure.cameras[c], np.flatnonzero(free[c])
-        pairs = _plain(np.stack([figures.interior[c, columns], figures.interior_sd[c, columns]], -1))
+        pairs = np.stack([figures.interior[c, columns], figures.interior_sd[c, columns]], -1)
         cameras[camera.name] = {camera.model.elements[k]: pair for k, pair in zip(columns, pairs, strict=True)}
     return cameras
 
 
 def _parameters(figures: Figures) -> dict[str, dict[str, Any]]:
-    pairs = _plain(np.stack([figures.parameters, figures.parameters_sd], -1))
+    pairs = np.stack([figures.parameters, figures.parameters_sd], -1)
     return {
-        parameter.name: {"value": pair, "unit": parameter.unit, "t": _number(float(t))}
+        parameter.name: {"value": pair, "unit": parameter.unit, "t": float(t)}
         for parameter, pair, t in zip(figures.structure.parameters, pairs, figures.significance, strict=True)
     }
 
@@ -137,7 +139,7 @@ def _robust(figures: Figures) -> dict[str, Any]:
 def _check_points(figures: Figures, names: list[str]) -> dict[str, dict[str, Any]]:
     check = figures.structure.check_point
     entries = _entries(names, "XYZ", figures.points[check], figures.points_sd[check])
-    differences = _plain(figures.check_differences)
+    differences = figures.check_differences
     return {
         name: {**entry, **dict(zip(("dX", "dY", "dZ"), row, strict=True))}
         for (name, entry), row in zip(entries.items(), differences, strict=True)
@@ -151,7 +153,7 @@ def _inner_orientations(figures: Figures) -> dict[str, dict[str, dict[str, Any]]
             "transformation": fit.transformation,
             **fit.parameters,
             "redundancy": fit.redundancy,
-            "sigma0": _number(fit.sigma0),
+            "sigma0": fit.sigma0,
             "fiducials": dict(zip(fit.fiducials, fit.residuals.tolist(), strict=True)),
         }
         for fit in figures.structure.inner_orientations
@@ -162,5 +164,5 @@ def _inner_orientations(figures: Figures) -> dict[str, dict[str, dict[str, Any]]
 def _correlations(figures: Figures) -> dict[str, dict[str, float | None]]:
     cameras: dict[str, dict[str, float | None]] = {}
     for c, a, b, r in figures.correlations():
-        cameras.setdefault(figures.structure.cameras[c].name, {})[f"{a},{b}"] = _number(r)
+        cameras.setdefault(figures.structure.cameras[c].name, {})[f"{a},{b}"] = r
     return cameras

@@ -9,7 +9,18 @@ from jaxbundle.block.findings import Finding
 from jaxbundle.block.observations import CONTROL
 from jaxbundle.diagnosis.elements import HIGH_CORRELATION, correlated_parameters
 from jaxbundle.diagnosis.sigmas import global_test
-from jaxbundle.report.columns import NAME, WIDTH, aligned, decimals, deviation, fixed, short, table, wrapped
+from jaxbundle.report.columns import (
+    NAME,
+    WIDTH,
+    aligned,
+    decimals,
+    deviation,
+    fixed,
+    short,
+    table,
+    with_unit,
+    wrapped,
+)
 from jaxbundle.report.figures import Figures, figures_of
 from jaxbundle.report.group_tables import GroupTable
 from jaxbundle.report.reliability_table import reliability_lines
@@ -29,7 +40,7 @@ def text_of(figures: Figures) -> str:
     """`report_text` from numbers that are converted already."""
     structure = figures.structure
     sections: list[tuple[str, list[str]]] = [
-        ("Problems and suggestions", finding_lines(figures.findings)),
+        ("Verdict", [*wrapped("", _verdict(figures), 2), *finding_lines(figures.findings)]),
         ("Adjustment", _adjustment(figures)),
         ("Observations", _observations(figures)),
         ("Images: adjusted value and standard deviation below", _images(figures)),
@@ -41,7 +52,7 @@ def text_of(figures: Figures) -> str:
         *((_title(other), _group(figures, other)) for other in figures.tables if other.name != CONTROL.name),
         ("Check points: adjusted less known", _check_points(figures)),
         (f"Rays of a robust weight below {DOWN_WEIGHTED:g}", _down_weighted(figures)),
-        ("Largest residuals of rays", _worst_rays(figures)),
+        (f"Rays of the largest {_size_of_rays(figures)}", _worst_rays(figures)),
         ("Reliability", reliability_lines(figures)),
         (f"Correlations over {HIGH_CORRELATION}", _correlations(figures)),
     ]
@@ -53,10 +64,12 @@ def text_of(figures: Figures) -> str:
     return "\n".join(line.rstrip() for line in lines).encode("ascii", "replace").decode() + "\n"
 
 
+def _verdict(figures: Figures) -> str:
+    return f"The adjustment {figures.adjustment.verdict}."
+
+
 def finding_lines(found: Sequence[Finding]) -> list[str]:
     """Findings as lines of text."""
-    if not found:
-        return ["  none"]
     return [line for finding in found for line in wrapped(finding.severity.label, finding.words, 14)]
 
 
@@ -85,9 +98,15 @@ def _adjustment(figures: Figures) -> list[str]:
             f"{verdict}: {test.lower:.4f} < sigma0 < {test.upper:.4f} expected (chi-square, two-sided, 5 %)",
         ),
         ("Iterations", f"{int(n.trials)}, of which {int(n.accepted)} accepted; {adjustment.method}"),
-        ("End", f"{adjustment.status.words}; stopping rule '{adjustment.stopping_rule}' at {float(n.measure):.1e}"),
+        ("End", f"{adjustment.status.words}; {_last_step(figures)}"),
     ]
     return [line for label, text in figure for line in wrapped(label, text, 23)]
+
+
+def _last_step(figures: Figures) -> str:
+    """What the stopping rule measured last; 0 where the step moved nothing but rounding."""
+    measure, rule = float(figures.adjustment.iterations.measure), figures.adjustment.stopping_rule
+    return f"stopping rule '{rule}', last step {'below rounding' if measure == 0 else f'{measure:.1e}'}"
 
 
 def _robust(figures: Figures) -> list[tuple[str, str]]:
@@ -135,7 +154,7 @@ def _images(figures: Figures) -> list[str]:
         values = [fixed(v, p) for v, p in zip(figures.exterior[i], places, strict=True)]
         deviations = [deviation(s, p) for s, p in zip(figures.exterior_sd[i], places, strict=True)]
         rows += [(short(name), str(figures.rays_of_image[i]), *values), ("", "", *deviations)]
-    header = ["image", "rays", *(f"{e} [{u}]" for e, u in zip(structure.exterior_elements, units, strict=True))]
+    header = ["image", "rays", *(with_unit(e, u) for e, u in zip(structure.exterior_elements, units, strict=True))]
     count = len(structure.image_names)
     lines = aligned([header, *rows])
     return lines if count <= IMAGES else [*lines, f"  ... the first {IMAGES} of {count} images; the tables hold all"]
@@ -165,10 +184,11 @@ def _cameras(figures: Figures) -> list[str]:
             value, sd = figures.interior[c, k], figures.interior_sd[c, k]
             ratio = f"{abs(value) / sd:.1f}" if sd > 0 else "-"
             deviation = f"{sd:.3g}" if np.isfinite(sd) else "-"
-            rows.append((short(camera.name), camera.model.elements[k], f"{value:.8g}", deviation, ratio))
+            element = camera.model.elements[k]
+            rows.append((short(camera.name), element, f"{value:.8g}", deviation, camera.unit_of(element), ratio))
     if not rows:
         return ["  none: all interior elements are held"]
-    lines = aligned([("camera", "element", "value", "sd", "|value|/sd"), *rows], left=2)
+    lines = aligned([("camera", "element", "value", "sd", "unit", "|value|/sd"), *rows], left=2)
     more = len(estimated) - CAMERAS
     return (
         lines if more <= 0 else [*lines, f"  ... the first {CAMERAS} of {len(estimated)} cameras; the tables hold all"]
@@ -199,7 +219,7 @@ def _points(figures: Figures) -> list[str]:
     if not rows:
         return ["  all coordinates of all points are fixed"]
     unit = structure.object_unit
-    header = ("point", "rays", *(f"{c} [{unit}]" for c in "XYZ"), "sd X", "sd Y", "sd Z")
+    header = ("point", "rays", *(with_unit(c, unit) for c in "XYZ"), *(with_unit(f"sd {c}", unit) for c in "XYZ"))
     return [*_summary_of_points(figures), *table(header, rows, len(unknown), "points")]
 
 
@@ -210,7 +230,8 @@ def _summary_of_points(figures: Figures) -> list[str]:
         return []
     rms = [np.sqrt(np.mean(column[f] ** 2)) if f.any() else 0.0 for column, f in zip(sd.T, free.T, strict=True)]
     rows = [("sd, root mean square", *(f"{s:.3g}" for s in rms)), ("sd, largest", *(f"{s:.3g}" for s in sd.max(0)))]
-    return [*aligned([("", "X", "Y", "Z"), *rows]), ""]
+    header = ("", *(with_unit(c, figures.structure.object_unit) for c in "XYZ"))
+    return [*aligned([header, *rows]), ""]
 
 
 def _control(figures: Figures) -> list[tuple[str, list[str]]]:
@@ -222,7 +243,7 @@ def _control(figures: Figures) -> list[tuple[str, list[str]]]:
     lines = wrapped("Fixed:", ", ".join(held) + more, 10) if held else []
     for observed in figures.tables:
         lines += _group(figures, observed) if observed.name == CONTROL.name else []
-    return [("Control points: adjusted less observed", lines)]
+    return [(with_unit("Control points: adjusted less observed", structure.object_unit), lines)]
 
 
 def _held(name: str, free: np.ndarray) -> str:
@@ -236,21 +257,24 @@ def _title(observed: GroupTable) -> str:
 
 
 def _group(figures: Figures, observed: GroupTable) -> list[str]:
-    """Residuals of a kind of observation, their standard deviations a priori and v / (sigma0 sigma)."""
+    """Residuals of a kind of observation, their standard deviations a priori and the largest |w| / sigma0."""
     residuals, sigmas, components = observed.residuals, observed.sigmas, observed.components
     places = decimals(sigmas) + 1
     names = {key: column for key, column in observed.who.items() if key != "parameters" or len(components) < 3}
     of_parameter = PARAMETER if len(names) == 1 else OWNER
     longest = [of_parameter if key == "parameter" else NAME for key in names]
     scale = figures.sigma0 if figures.sigma0 > 0 else np.inf
+    sizes, size_name = (
+        (observed.normalised, "|v|/(sigma0 sigma)") if np.isnan(observed.w).all() else (observed.w, "|w|/sigma0")
+    )
     rows = []
     for m in range(min(len(residuals), POINTS)):
         cells = [(fixed(residuals[m, c], places), f"{sigmas[m, c]:.3g}") for c in range(len(components))]
         cells = [cell if np.isfinite(v) else ("-", "-") for cell, v in zip(cells, residuals[m], strict=True)]
-        size = np.abs(observed.normalised[m]).max() / scale
+        size = np.nanmax(np.abs(sizes[m]), initial=0.0) / scale
         who = [short(column[m], most) for column, most in zip(names.values(), longest, strict=True)]
         rows.append((*who, *(v for v, _ in cells), *(s for _, s in cells), f"{size:.2f}"))
-    header = (*names, *(f"v {c}" for c in components), *(f"sigma {c}" for c in components), "v/(sigma0 sigma)")
+    header = (*names, *(f"v {c}" for c in components), *(f"sigma {c}" for c in components), size_name)
     return table(header, rows, len(residuals), observed.title, left=len(names))
 
 
@@ -270,13 +294,13 @@ def _check_points(figures: Figures) -> list[str]:
         for c, p in enumerate(structure.check_point[:POINTS])
     ]
     unit = structure.object_unit
-    header = ("point", *(f"{c} [{unit}]" for c in "XYZ"), "dX", "dY", "dZ", "sd X", "sd Y", "sd Z")
+    header = ("point", *(with_unit(f"{what}{c}", unit) for what in ("", "d", "sd ") for c in "XYZ"))
     known = np.isfinite(differences)
     squares = np.where(known, differences, 0.0) ** 2
     rms = np.sqrt(squares.sum(0) / np.maximum(known.sum(0), 1))
     return [
         *table(header, rows, len(structure.check_point), "check points"),
-        f"  root mean square  dX {rms[0]:.3g}  dY {rms[1]:.3g}  dZ {rms[2]:.3g}",
+        f"  root mean square  dX {rms[0]:.3g}  dY {rms[1]:.3g}  dZ {rms[2]:.3g}  {unit}".rstrip(),
     ]
 
 
@@ -307,7 +331,12 @@ def _worst_rays(figures: Figures) -> list[str]:
         unit = structure.cameras[structure.image_camera[image]].image_unit
         names = short(structure.image_names[image]), short(structure.point_names[structure.ray_point[ray]])
         rows.append((*names, f"{v[ray, 0]:.4g}", f"{v[ray, 1]:.4g}", unit, f"{size[ray]:.2f}"))
-    return aligned([("image", "point", "vx", "vy", "", "|v|/(sigma0 sigma)"), *rows], left=2)
+    return aligned([("image", "point", "vx", "vy", "", _size_of_rays(figures)), *rows], left=2)
+
+
+def _size_of_rays(figures: Figures) -> str:
+    """What residuals of rays are compared by."""
+    return "|v|/(sigma0 sigma)" if figures.adjustment.redundancy_numbers is None else "|w|/sigma0"
 
 
 def _correlations(figures: Figures) -> list[str]:
