@@ -119,6 +119,16 @@ class Structure:
         """Positions of the interior elements that some camera estimates."""
         return tuple(int(k) for k in np.nonzero(self.interior_free.any(0))[0])
 
+    @cached_property
+    def ray_repeat(self) -> Int[np.ndarray, " ray"]:
+        """How many rays of the same image to the same point stand before each ray: 0 unless a point is measured again."""
+        pair = self.ray_point.astype(np.int64) * len(self.image_names) + self.ray_image
+        repeat = np.zeros(len(pair), np.int64)
+        if not (np.diff(pair) > 0).all():  # else they are in order and differ
+            order = np.argsort(pair, kind="stable")
+            repeat[order] = np.arange(len(pair)) - np.searchsorted(pair[order], pair[order])
+        return repeat
+
     @property
     def parameter_free(self) -> Bool[np.ndarray, " parameter"]:
         """Which parameters are unknown."""

@@ -79,7 +79,8 @@ def _unusable_sigmas(block: Block) -> list[Problem]:
 
 def _weak_images(block: Block) -> list[Problem]:
     structure = block.structure
-    rays = np.bincount(structure.ray_image, minlength=len(structure.image_names))
+    first = structure.ray_repeat == 0  # a point that is measured again on an image tells the image nothing new
+    rays = np.bincount(structure.ray_image[first], minlength=len(structure.image_names))
     known = 2 * rays + _observed_of(block, "image", len(rays))
     return [
         Problem(
@@ -97,7 +98,8 @@ def _weak_images(block: Block) -> list[Problem]:
 def _is_weak_point(block: Block) -> Bool[np.ndarray, " point"]:
     """Points with fewer observations than unknown coordinates."""
     structure = block.structure
-    rays = np.bincount(structure.ray_point, minlength=len(structure.point_names))
+    first = structure.ray_repeat == 0
+    rays = np.bincount(structure.ray_point[first], minlength=len(structure.point_names))
     return 2 * rays + _observed_of(block, "point", len(rays)) < structure.point_free.sum(1)
 
 

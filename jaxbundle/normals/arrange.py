@@ -48,6 +48,17 @@ class Order(NamedTuple):
     parameters: int
 
 
+class Views(NamedTuple):
+    """What fills a slot of a tile: an image, and once more for a point that was measured on it again.
+
+    `of_ray`: view of each ray; views are numbered by the rank of their image. `rank`, `centre`: of their image.
+    """
+
+    of_ray: Int[np.ndarray, " ray"]
+    rank: Int[np.ndarray, " view"]
+    centre: Float[np.ndarray, "view 3"]
+
+
 class Part(NamedTuple):
     """The tiles of points with short or with long tracks, their rays as the tiling numbers them, and their products."""
 
@@ -113,10 +124,14 @@ class Problem(eqx.Module):
 def kept_points(structure: Structure, groups: tuple[ObservationGroup, ...]) -> Bool[np.ndarray, " point"]:
     """Points that cannot be eliminated one by one, since they share an observation, or better are not.
 
-    The second are points without rays, and a few points on very many images, which would fill the reduced matrix.
+    The second are points without rays, and a few points on very many images, which would fill the reduced matrix. Tiles
+    of points with long tracks multiply pairs of slots in one order only, which two slots of one image do not allow.
     """
     count = np.bincount(structure.ray_point, minlength=len(structure.point_names))
     kept, long = count == 0, count > SLOTS
+    repeated = np.zeros(len(count), bool)
+    repeated[structure.ray_point[structure.ray_repeat > 0]] = True
+    kept |= long & repeated
     if 3 * long.sum() <= BORDER_SHARE * 6 * len(structure.image_names):
         kept |= long
     for group in groups:
@@ -148,20 +163,30 @@ def _group_image_pairs(structure: Structure, group: ObservationGroup, own: bool)
     return np.stack(columns, 1) if len(columns) == 2 else None
 
 
+def _views(
+    rank: Int[np.ndarray, " ray"], repeat: Int[np.ndarray, " ray"], centres: Float[np.ndarray, "image 3"]
+) -> Views:
+    """The views of some rays by the ranks of their images; `centres` by rank."""
+    most = int(repeat.max(initial=0)) + 1
+    if most == 1:
+        return Views(rank, np.arange(len(centres)), centres)
+    views, of_ray = np.unique(rank * most + repeat, return_inverse=True)
+    return Views(of_ray, views // most, centres[views // most])
+
+
 def _parts(
     rays: Int[np.ndarray, " ray"],
-    image: Int[np.ndarray, " ray"],
+    views: Views,
     point: Int[np.ndarray, " ray"],
     points: int,
     reduced: ReducedPlan,
     find: Finder,
-    centres: Float[np.ndarray, "image 3"],
     devices: int,
     width: int,
 ) -> tuple[tuple[Part, ...], Int[np.ndarray, " point"]]:
     """Points with short tracks and those with long ones, as far as there are any; the place of every point.
 
-    `rays`: numbers of the rays in the block, sorted by point; `image` and `centres` in elimination order.
+    `rays`: numbers of the rays in the block, sorted by point.
     """
     long = np.bincount(point, minlength=points) > SLOTS
     parts, tile, first = [], np.empty((points, 3), np.int64), 0
@@ -170,8 +195,9 @@ def _parts(
             continue
         mine = np.nonzero(chosen[point])[0]
         number = np.cumsum(chosen) - 1
-        t = plan(image[mine], number[point[mine]], int(chosen.sum()), len(centres), centres, devices, width)
-        t.slot_image[t.slot_image == len(centres)] = reduced.images - 1
+        seen, count = views.of_ray[mine], len(views.rank)
+        t = plan(seen, number[point[mine]], int(chosen.sum()), count, views.centre, devices, width)
+        t.slot_image[...] = np.append(views.rank, reduced.images - 1)[t.slot_image]
         t.slot_tile[...] += first
         tile[chosen] = t.point_tile + np.array([0, first, 0])
         # conjugate gradients take diagonal blocks only
@@ -222,7 +248,8 @@ def arrange(
     ranked[row] = centres if centres is not None else np.stack([row, 0 * row, 0 * row], 1)
     width, padded_images = tile_width(len(rays)), reduced.images
     find = pair_finder(reduced.pairs, padded_images, reduced.pool - 1)
-    parts, place = _parts(rays, row[ray_image], ray_point, int((~kept).sum()), reduced, find, ranked, devices, width)
+    views = _views(row[ray_image], structure.ray_repeat[rays], ranked)
+    parts, place = _parts(rays, views, ray_point, int((~kept).sum()), reduced, find, devices, width)
     places = devices * sum(part.tiling.tiles for part in parts) * width
     point = np.empty(len(kept), np.int64)
     point[~kept], point[kept] = place, places + np.arange(kept.sum())
@@ -297,7 +324,7 @@ def restored_unknowns(a: Arrangement, arranged: Arranged) -> Unknowns:
 
 def restored_rays(a: Arrangement, cells: list[Array], kept: list[Array]) -> Float[Array, "ray 2"]:
     """What belongs to the cells, two arrays a part, and to the rays of kept points, in the order of the block."""
-    place = np.empty(sum(len(part.rays) for part in a.parts) + len(a.kept_rays), int)
+    place = np.full(sum(len(part.rays) for part in a.parts) + len(a.kept_rays), -1)
     first = 0
     for part in a.parts:
         grid = part.tiling.ray.ravel()
@@ -305,6 +332,7 @@ def restored_rays(a: Arrangement, cells: list[Array], kept: list[Array]) -> Floa
         place[part.rays[grid[cell]]] = first + cell
         first += grid.size
     place[a.kept_rays] = first + np.arange(len(a.kept_rays))
+    assert (place >= 0).all(), "a ray has no cell of its own"
     xp = np if is_concrete((cells, kept)) else jnp
     columns = []
     for k in range(2):

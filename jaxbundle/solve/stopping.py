@@ -161,7 +161,8 @@ def parallax_rule(block: Block, delta: float) -> ParallaxRule:
     """The rule for all pairs of successive images of each point."""
     structure = block.structure
     order = np.lexsort((structure.ray_image, structure.ray_point))
-    same = structure.ray_point[order][1:] == structure.ray_point[order][:-1]
+    image, point = structure.ray_image[order], structure.ray_point[order]
+    same = (point[1:] == point[:-1]) & (image[1:] != image[:-1])  # a point measured twice on an image has no base there
     first, second = jnp.asarray(order[:-1][same]), jnp.asarray(order[1:][same])
     return ParallaxRule(delta, first, second, observations_of(block))
 
