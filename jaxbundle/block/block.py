@@ -121,7 +121,7 @@ class Structure:
 
     @cached_property
     def ray_repeat(self) -> Int[np.ndarray, " ray"]:
-        """How many rays of the same image to the same point stand before each ray: 0 unless a point is measured again."""
+        """Number of rays of the same image and point before each ray: 0 unless the point is measured again there."""
         pair = self.ray_point.astype(np.int64) * len(self.image_names) + self.ray_image
         repeat = np.zeros(len(pair), np.int64)
         if not (np.diff(pair) > 0).all():  # else they are in order and differ

@@ -4,14 +4,22 @@ import numpy as np
 from jaxtyping import Bool, Int
 
 from jaxbundle.block.block import Block
+from jaxbundle.block.consistency import inconsistencies, unusable_numbers
 from jaxbundle.block.datum import inner_needs_none, is_located
 from jaxbundle.block.datum_defect import datum_defect, insufficient
+from jaxbundle.block.first_residuals import unusable_models
+from jaxbundle.block.given import require_a
 from jaxbundle.block.problems import BlockError, Problem
 
 
 def validate(block: Block) -> list[Problem]:
     """Problems of a block whose values are concrete, in the order in which they are best cured."""
+    require_a(Block, block, "validate")
+    wrong = inconsistencies(block)
+    if wrong:
+        return wrong  # nothing else can be looked at
     problems = [*_unusable_values(block), *_unusable_sigmas(block), *weaknesses(block)]
+    problems = problems or [*unusable_numbers(block), *unusable_models(block)]
     return problems or [*_redundancy(block), *_datum(block)]
 
 

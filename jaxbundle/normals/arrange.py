@@ -20,6 +20,7 @@ from jaxbundle.block.unknowns import Unknowns, corrected_in_angles
 from jaxbundle.normals import ordering
 from jaxbundle.normals.cells import Tiles, to_cells
 from jaxbundle.normals.eliminate import Shape
+from jaxbundle.normals.incidence import Views, group_image_pairs, kept_points, own_cameras, views_of
 from jaxbundle.normals.kept import KeptRays
 from jaxbundle.normals.long_tiles import long_tiling
 from jaxbundle.normals.products import AbstractProducts, Finder, class_products, group_products, pair_finder
@@ -29,8 +30,6 @@ from jaxbundle.normals.tiles import SLOTS, Tiling, tile_width, tiling
 from jaxbundle.numerics.devices import dealt
 from jaxbundle.numerics.host import array_module, is_concrete, on_device, on_host
 from jaxbundle.numerics.shapes import grid_size
-
-BORDER_SHARE = 0.1  # of the images' unknowns: so much of a border costs less than the matrix it keeps sparse
 
 
 class Order(NamedTuple):
@@ -46,17 +45,6 @@ class Order(NamedTuple):
     cameras: int
     points: int
     parameters: int
-
-
-class Views(NamedTuple):
-    """What fills a slot of a tile: an image, and once more for a point that was measured on it again.
-
-    `of_ray`: view of each ray; views are numbered by the rank of their image. `rank`, `centre`: of their image.
-    """
-
-    of_ray: Int[np.ndarray, " ray"]
-    rank: Int[np.ndarray, " view"]
-    centre: Float[np.ndarray, "view 3"]
 
 
 class Part(NamedTuple):
@@ -121,59 +109,6 @@ class Problem(eqx.Module):
         return self.observations.point_free[:, :places].reshape(3, -1, self.shape.width)
 
 
-def kept_points(structure: Structure, groups: tuple[ObservationGroup, ...]) -> Bool[np.ndarray, " point"]:
-    """Points that cannot be eliminated one by one, since they share an observation, or better are not.
-
-    The second are points without rays, and a few points on very many images, which would fill the reduced matrix. Tiles
-    of points with long tracks multiply pairs of slots in one order only, which two slots of one image do not allow.
-    """
-    count = np.bincount(structure.ray_point, minlength=len(structure.point_names))
-    kept, long = count == 0, count > SLOTS
-    repeated = np.zeros(len(count), bool)
-    repeated[structure.ray_point[structure.ray_repeat > 0]] = True
-    kept |= long & repeated
-    if 3 * long.sum() <= BORDER_SHARE * 6 * len(structure.image_names):
-        kept |= long
-    for group in groups:
-        touches = group.structure.kind.touches
-        for k, kind in enumerate(touches):
-            if kind == "point" and len(touches) > 1:
-                kept[group.structure.indices[:, k]] = True
-    return kept
-
-
-def own_cameras(structure: Structure) -> bool:
-    """Whether every image has a camera of its own, whose interior then belongs to the image's block."""
-    used = np.bincount(structure.image_camera, minlength=len(structure.cameras))
-    return bool(structure.interior_columns) and bool((used == 1).all())
-
-
-def _group_image_pairs(structure: Structure, group: ObservationGroup, own: bool) -> Int[np.ndarray, "member 2"] | None:
-    """The two images each member touches, None where it never touches two."""
-    camera_image = np.zeros(len(structure.cameras), int)
-    camera_image[structure.image_camera] = np.arange(len(structure.image_camera))
-    columns = []
-    for k, kind in enumerate(group.structure.kind.touches):
-        if kind == "image":
-            columns.append(group.structure.indices[:, k])
-        elif kind == "camera" and own:
-            columns.append(camera_image[group.structure.indices[:, k]])
-    if len(columns) > 2:
-        raise ValueError(f"observations of kind {group.structure.kind.name} touch more than two images")
-    return np.stack(columns, 1) if len(columns) == 2 else None
-
-
-def _views(
-    rank: Int[np.ndarray, " ray"], repeat: Int[np.ndarray, " ray"], centres: Float[np.ndarray, "image 3"]
-) -> Views:
-    """The views of some rays by the ranks of their images; `centres` by rank."""
-    most = int(repeat.max(initial=0)) + 1
-    if most == 1:
-        return Views(rank, np.arange(len(centres)), centres)
-    views, of_ray = np.unique(rank * most + repeat, return_inverse=True)
-    return Views(of_ray, views // most, centres[views // most])
-
-
 def _parts(
     rays: Int[np.ndarray, " ray"],
     views: Views,
@@ -223,7 +158,7 @@ def arrange(
     images, cameras, own = len(structure.image_names), len(structure.cameras), own_cameras(structure)
     q = len(structure.interior_columns)
     kept = kept_points(structure, groups)
-    touching = [_group_image_pairs(structure, group, own) for group in groups]
+    touching = [group_image_pairs(structure, group, own) for group in groups]
     extra = [pairs for pairs in touching if pairs is not None]
     keep = kept[structure.ray_point]
     rays = np.nonzero(~keep)[0]
@@ -248,7 +183,7 @@ def arrange(
     ranked[row] = centres if centres is not None else np.stack([row, 0 * row, 0 * row], 1)
     width, padded_images = tile_width(len(rays)), reduced.images
     find = pair_finder(reduced.pairs, padded_images, reduced.pool - 1)
-    views = _views(row[ray_image], structure.ray_repeat[rays], ranked)
+    views = views_of(row[ray_image], structure.ray_repeat[rays], ranked)
     parts, place = _parts(rays, views, ray_point, int((~kept).sum()), reduced, find, devices, width)
     places = devices * sum(part.tiling.tiles for part in parts) * width
     point = np.empty(len(kept), np.int64)

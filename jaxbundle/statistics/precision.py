@@ -15,6 +15,7 @@ from jaxtyping import Array, Float
 
 from jaxbundle.block.block import Block
 from jaxbundle.block.datum import with_datum
+from jaxbundle.block.given import require_a
 from jaxbundle.block.unknowns import angle_derivatives, unknowns_of
 from jaxbundle.normals.arrange import Arranged, Arrangement, Problem, arrange, arranged_unknowns, problem
 from jaxbundle.normals.solution import solve_normals
@@ -51,6 +52,7 @@ def covariance_of(adjustment: Adjustment, function: Callable[[Block], Array]) ->
 
     Raises: ValueError for a solution that has no factorisation, by conjugate gradients.
     """
+    require_a(Adjustment, adjustment, "covariance_of")
     if adjustment.reduced == "pcg":
         raise ValueError("conjugate gradients give no variances: adjust with another solver")
     adjusted = adjustment.block
@@ -108,6 +110,7 @@ def error_ellipsoids(adjustment: Adjustment) -> Ellipsoids:
 
     Raises: ValueError where no cofactors were computed.
     """
+    require_a(Adjustment, adjustment, "error_ellipsoids")
     if adjustment.cofactors is None:
         raise ValueError("this adjustment was made without standard deviations: call adjust(..., precision=True)")
     values, vectors = np.linalg.eigh(np.asarray(adjustment.cofactors.object_points))
@@ -120,6 +123,7 @@ def error_ellipses(adjustment: Adjustment) -> Ellipsoids:
 
     Raises: ValueError where no cofactors were computed.
     """
+    require_a(Adjustment, adjustment, "error_ellipses")
     if adjustment.cofactors is None:
         raise ValueError("this adjustment was made without standard deviations: call adjust(..., precision=True)")
     values, vectors = np.linalg.eigh(np.asarray(adjustment.cofactors.object_points)[:, :2, :2])

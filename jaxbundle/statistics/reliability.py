@@ -18,6 +18,7 @@ import numpy as np
 from jaxtyping import Float
 from scipy.special import ndtri, stdtrit
 
+from jaxbundle.block.given import require_a
 from jaxbundle.numerics.host import on_host
 from jaxbundle.solve.adjustment import Adjustment
 
@@ -80,6 +81,7 @@ def reliability(adjustment: Adjustment, level: float = LEVEL, power: float = POW
 
     Raises: ValueError where the adjustment has no redundancy numbers.
     """
+    require_a(Adjustment, adjustment, "reliability")
     numbers = redundancy_numbers(adjustment)
     groups = adjustment.block.groups
     observed = [np.ones(adjustment.residuals[0].shape, bool), *(group.structure.observed for group in groups)]
