@@ -129,6 +129,7 @@ def test_two_rays_on_one_image_are_one_image(block):
     assert np.isfinite(parallax).all()
 
 
+@pytest.mark.thorough
 def test_bal_file_with_repeated_rays(shared_data):
     block = read_bal(shared_data / "cases" / "fuzz" / "bal-duplicate" / "ladybug-dup.txt")
     assert (block.structure.ray_repeat > 0).any()

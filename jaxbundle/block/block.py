@@ -24,6 +24,11 @@ from jaxbundle.numerics.host import array_module, is_concrete, on_device, on_hos
 CENTRE_ELEMENTS = ("X0", "Y0", "Z0")
 
 
+def counted(number: int, noun: str) -> str:
+    """A number and its noun: "1 image", "2 images"."""
+    return f"{number} {noun}{'' if number == 1 else 's'}"
+
+
 @dataclass(frozen=True)
 class Camera:
     """One camera's host data. `image_unit` "px" (v down) or "mm" (y up); sizes in px, None where unknown."""
@@ -179,6 +184,13 @@ class Block(eqx.Module):
     groups: tuple[ObservationGroup, ...]
     check_points: CheckPoints
     parameters: Float[Array, " parameter"] = eqx.field(default_factory=lambda: on_device(np.zeros(0)))
+
+    def __repr__(self) -> str:
+        s = self.structure
+        counts = [counted(len(s.image_names), "image"), counted(len(s.point_names), "point")]
+        counts += [counted(len(s.ray_image), "ray"), counted(len(s.cameras), "camera")]
+        others = [f"{group.count} {group.structure.kind.name}" for group in self.groups]
+        return f"<Block {s.name or '(unnamed)'}: {', '.join([*counts, *others])}>"
 
     @property
     def observations(self) -> int:
