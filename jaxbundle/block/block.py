@@ -189,8 +189,11 @@ class Block(eqx.Module):
         s = self.structure
         counts = [counted(len(s.image_names), "image"), counted(len(s.point_names), "point")]
         counts += [counted(len(s.ray_image), "ray"), counted(len(s.cameras), "camera")]
-        others = [f"{group.count} {group.structure.kind.name}" for group in self.groups]
-        return f"<Block {s.name or '(unnamed)'}: {', '.join([*counts, *others])}>"
+        others: dict[str, int] = {}
+        for group in self.groups:
+            others[group.structure.kind.name] = others.get(group.structure.kind.name, 0) + group.count
+        counts += [f"{count} {name}" for name, count in others.items()]
+        return f"<Block {s.name or '(unnamed)'}: {', '.join(counts)}>"
 
     @property
     def observations(self) -> int:
