@@ -19,7 +19,7 @@ def number(block: Block, name: str) -> int:
 
 
 def assert_same(block: Block, again: Block, rounding: float = 4e-15) -> None:
-    """Equal structures and values, angles to rounding; notes tell of the folder alone."""
+    """Equal structures and values, angles to rounding; findings tell of the folder alone."""
     for field in dataclasses.fields(block.structure):
         if field.name != "findings":
             value, value_again = (getattr(structure, field.name) for structure in (block.structure, again.structure))

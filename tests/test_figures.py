@@ -39,7 +39,7 @@ def frame(block, kind, points, order) -> np.ndarray:
 @pytest.mark.parametrize("name", TURNS)
 @pytest.mark.parametrize("kind", [PLANES, LINES], ids=["plane", "line"])
 def test_order_of_the_rows(block, name, kind):
-    """A square, a slim figure and a line."""
+    """Of a square, and of a line."""
     shape = SQUARE if kind is PLANES else np.arange(4.0)[:, None] * [0.0, 0.0, 2.0]
     points = shape @ TURNS[name].T + [10.0, 20.0, 30.0]
     first = frame(block, kind, points, np.arange(4))

@@ -13,6 +13,8 @@ from test_elimination import changed
 
 import jaxbundle as jb
 from jaxbundle.block.consistency import inconsistencies
+from jaxbundle.block.findings import Kind
+from jaxbundle.block.magnitudes import repeated_rows
 from jaxbundle.block.observations import ObservationKind
 from jaxbundle.camera.forward import BAL
 
@@ -127,6 +129,54 @@ def test_numbers_that_are_none(block):
     wrong = eqx.tree_at(lambda g: g.covariances, group, jnp.asarray(matrices), is_leaf=lambda x: x is None)
     found = refused(dataclasses.replace(block, groups=(wrong, *block.groups[1:])))
     assert set(found) == {"the covariances are not those of a positive definite matrix"}
+
+
+ABSURD = {
+    "points: the approximate coordinate 1e+300 is beyond 1e+12": (lambda b: b.object_points, (2, 1), 1e300),
+    "images: the projection centre 1e+13": (lambda b: b.exterior.projection_centre, (1, 0), 1e13),
+    "images: the angle 3600 deg makes more than 10 full turns": (lambda b: b.exterior.angles, (1, 2), 20.01 * np.pi),
+    "rays: the standard deviation 1e-150 lies outside 1e-12": (lambda b: b.rays.sigmas, (4, 0), 1e-150),
+    "cameras: the interior element 1e+300": (lambda b: b.interior.elements, (0, 0), 1e300),
+}
+
+
+@pytest.mark.parametrize("words", ABSURD)
+def test_absurd_numbers(block, words):
+    where, index, value = ABSURD[words]
+    table, what = words.replace("3600 deg", "3601.8 deg").split(": ")
+    (problem,) = jb.validate(put(block, where, where(block).at[index].set(value)))
+    assert problem.table == table and problem.row == index[0] and problem.what.startswith(what)
+
+
+def distances(block, kind, indices, values):
+    """The block with geodetic observations between points."""
+    values = np.array(values, float)[:, None]
+    group = jb.observation_group(jb.geodetic_kind(kind), np.array(indices), values, np.full(values.shape, 0.01))
+    return dataclasses.replace(block, groups=(*block.groups, group))
+
+
+@pytest.mark.parametrize("kind", ["azimuths", "distances", "zenith_angles"])
+def test_lines_of_no_length(block, kind):
+    """An azimuth of a vertical pair, and a distance between equal approximate values."""
+    x = np.array(block.object_points)
+    x[7] = x[3] if kind == "distances" else x[3] + [0, 0, 5]
+    same = distances(put(block, lambda b: b.object_points, jnp.asarray(x)), kind, [[1, 2], [3, 7], [7, 3]], [1, 1, 1])
+    (problem,) = jb.validate(same)
+    names = block.structure.point_names
+    assert problem.what.startswith(f"{names[3]} and {names[7]} have the same approximate")
+    assert problem.what.endswith("and of 1 more rows") and (problem.table, problem.row) == (kind, 1)
+
+
+def test_azimuths_of_many_turns(block):
+    (problem,) = jb.validate(distances(block, "azimuths", [[1, 2]], [3_600_000_090 * np.pi / 180]))
+    assert problem.what == "the angle 3600000090 deg makes more than 10 full turns"
+
+
+def test_repeated_rows_are_told_and_adjusted(block):
+    twice = distances(block, "distances", [[1, 2], [3, 4], [1, 2], [1, 2]], [5, 6, 5, 5])
+    (found,) = repeated_rows(twice)
+    assert found.kind is Kind.INFORMATION and found.size == 2 and "2 rows of distances repeat" in found.what
+    assert not [p for p in jb.validate(twice) if p.table == "distances"]
 
 
 def test_all_is_told_at_once(block):

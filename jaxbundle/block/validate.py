@@ -9,6 +9,7 @@ from jaxbundle.block.datum import inner_needs_none, is_located
 from jaxbundle.block.datum_defect import datum_defect, insufficient
 from jaxbundle.block.first_residuals import unusable_models
 from jaxbundle.block.given import require_a
+from jaxbundle.block.magnitudes import absurd_numbers
 from jaxbundle.block.problems import BlockError, Problem
 
 
@@ -19,7 +20,7 @@ def validate(block: Block) -> list[Problem]:
     if wrong:
         return wrong  # nothing else can be looked at
     problems = [*_unusable_values(block), *_unusable_sigmas(block), *weaknesses(block)]
-    problems = problems or [*unusable_numbers(block), *unusable_models(block)]
+    problems = problems or unusable_numbers(block) or absurd_numbers(block) or unusable_models(block)
     return problems or [*_redundancy(block), *_datum(block)]
 
 
