@@ -76,6 +76,8 @@ if TYPE_CHECKING:
     )
     from jaxbundle.textbook import crosscheck
 
+__version__ = "0.1.0"
+
 _MODULES = {
     "approximate.intersection": ("intersect",),
     "approximate.resection": ("Resection", "resection"),
@@ -230,6 +232,10 @@ __all__ = [
     "write_block_folder",
     "write_report",
 ]
+
+
+def __dir__() -> list[str]:
+    return sorted([*__all__, "__version__"])
 
 
 def __getattr__(name: str) -> Any:

@@ -19,9 +19,9 @@ def number(block: Block, name: str) -> int:
 
 
 def assert_same(block: Block, again: Block, rounding: float = 4e-15) -> None:
-    """Equal structures and values, angles to rounding; notes tell of the folder alone."""
+    """Equal structures and values, angles to rounding; findings tell of the folder alone."""
     for field in dataclasses.fields(block.structure):
-        if field.name != "notes":
+        if field.name != "findings":
             value, value_again = (getattr(structure, field.name) for structure in (block.structure, again.structure))
             same = np.array_equal(value, value_again) if isinstance(value, np.ndarray) else value == value_again
             assert same, field.name

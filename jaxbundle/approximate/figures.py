@@ -1,8 +1,12 @@
 """Approximate values of what approximate coordinates tell: orientations of sets of directions, planes and lines.
 
-A plane or line is described in a fixed frame (block/geodetic.py) at the centre of gravity of its points, whose axes are
-the right singular vectors of their coordinates from there: of a plane, the third axis has the smallest singular value;
-of a line, the largest. In this frame all parameters are 0.
+A plane or line is described in a fixed frame (block/geodetic.py) at the centre of gravity of its points. The third axis
+is the normal of the plane, the right singular vector of the smallest singular value of the coordinates from there, or
+the direction of the line, that of the largest. In this frame all parameters are 0.
+
+A singular vector has no sign, and two of equal singular values no direction: both would hang on the order of the rows.
+So the third axis points up (to +Y where it is horizontal, to +X where it is parallel to X), and the first one is the
+projection of the coordinate axis that is farthest from the third.
 """
 
 from collections.abc import Iterator
@@ -17,7 +21,7 @@ from jaxbundle.block.problems import Problem
 from jaxbundle.numerics.host import on_device
 
 DEGENERATE = 1e-6  # extent across over extent along: points that lie on a line, or in one place
-ORDER = {PLANES: (0, 1, 2), LINES: (1, 2, 0)}  # axes of the frame by falling extent of the points
+SENSE = 1e-6  # components of unit vectors that differ by less count as equal: far above rounding
 DIRECTIONS = tuple(
     geodetic_kind("directions", start, end) for start in ("point", "image") for end in ("point", "image")
 )
@@ -34,10 +38,10 @@ def with_figures(block: Block) -> tuple[Block, list[Problem]]:
             unknown, first = np.unique(indices[:, 2], return_index=True)
             azimuths = _azimuths(block, kind.touches, indices[first]) - np.asarray(group.values)[first, 0]
             values[unknown] = np.where(np.isnan(values[unknown]), azimuths % (2 * np.pi), values[unknown])
-        elif kind in ORDER:
+        elif kind in (PLANES, LINES):
             for members in _figures(indices, np.flatnonzero(np.isnan(frames[:, 0]))):
                 points = np.asarray(block.object_points)[indices[members, 0]]
-                frame = _frame(points, ORDER[kind], PLANES is kind) if np.isfinite(points).all() else None
+                frame = _frame(points, kind is PLANES) if np.isfinite(points).all() else None
                 frames[members] = np.concatenate([points.mean(0), np.eye(3).ravel()]) if frame is None else frame
                 values[indices[members[0], 1:]] = 0.0
                 if frame is None and np.isfinite(points).all():
@@ -63,9 +67,7 @@ def _figures(
         yield np.flatnonzero((indices[:, 1:] == parameters).all(1))
 
 
-def _frame(
-    points: Float[np.ndarray, "point 3"], order: tuple[int, int, int], plane: bool
-) -> Float[np.ndarray, "12"] | None:
+def _frame(points: Float[np.ndarray, "point 3"], plane: bool) -> Float[np.ndarray, "12"] | None:
     """Origin and axes; None where the points do not determine the figure."""
     origin = points.mean(0)
     _, extent, axes = np.linalg.svd(points - origin)
@@ -74,7 +76,18 @@ def _frame(
     least = max(DEGENERATE * size[0], 1e3 * np.finfo(float).eps * np.abs(points).max())
     if (size[1] if plane else size[0]) <= least:
         return None
-    return np.concatenate([origin, axes[list(order)].T.ravel()])
+    third = _upward(axes[2] if plane else axes[0])
+    along = np.abs(third)
+    farthest = int(np.argmax(along <= along.min() + SENSE))
+    first = np.eye(3)[farthest] - third[farthest] * third
+    first /= np.linalg.norm(first)
+    return np.concatenate([origin, np.stack([first, np.cross(third, first), third], 1).ravel()])
+
+
+def _upward(direction: Float[np.ndarray, "3"]) -> Float[np.ndarray, "3"]:
+    """The direction or its opposite, by the last of its components that is not 0."""
+    last = np.flatnonzero(np.abs(direction) > SENSE)[-1]
+    return direction * np.sign(direction[last])
 
 
 def _no_figure(block: Block, plane: bool, row: int, indices: np.ndarray) -> Problem:

@@ -25,6 +25,11 @@ CENTRE_ELEMENTS = ("X0", "Y0", "Z0")
 IN_IMAGE_UNIT = ("principal_distance", "x0", "y0", "f")  # interior elements that are lengths in the image
 
 
+def counted(number: int, noun: str) -> str:
+    """A number and its noun: "1 image", "2 images"."""
+    return f"{number} {noun}{'' if number == 1 else 's'}"
+
+
 @dataclass(frozen=True)
 class Camera:
     """One camera's host data. `image_unit` "px" (v down) or "mm" (y up); sizes in px, None where unknown."""
@@ -125,6 +130,16 @@ class Structure:
         """Positions of the interior elements that some camera estimates."""
         return tuple(int(k) for k in np.nonzero(self.interior_free.any(0))[0])
 
+    @cached_property
+    def ray_repeat(self) -> Int[np.ndarray, " ray"]:
+        """Number of rays of the same image and point before each ray: 0 unless the point is measured again there."""
+        pair = self.ray_point.astype(np.int64) * len(self.image_names) + self.ray_image
+        repeat = np.zeros(len(pair), np.int64)
+        if not (np.diff(pair) > 0).all():  # else they are in order and differ
+            order = np.argsort(pair, kind="stable")
+            repeat[order] = np.arange(len(pair)) - np.searchsorted(pair[order], pair[order])
+        return repeat
+
     @property
     def parameter_free(self) -> Bool[np.ndarray, " parameter"]:
         """Which parameters are unknown."""
@@ -175,6 +190,16 @@ class Block(eqx.Module):
     groups: tuple[ObservationGroup, ...]
     check_points: CheckPoints
     parameters: Float[Array, " parameter"] = eqx.field(default_factory=lambda: on_device(np.zeros(0)))
+
+    def __repr__(self) -> str:
+        s = self.structure
+        counts = [counted(len(s.image_names), "image"), counted(len(s.point_names), "point")]
+        counts += [counted(len(s.ray_image), "ray"), counted(len(s.cameras), "camera")]
+        others: dict[str, int] = {}
+        for group in self.groups:
+            others[group.structure.kind.name] = others.get(group.structure.kind.name, 0) + group.count
+        counts += [f"{count} {name}" for name, count in others.items()]
+        return f"<Block {s.name or '(unnamed)'}: {', '.join(counts)}>"
 
     @property
     def observations(self) -> int:

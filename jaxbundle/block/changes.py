@@ -5,12 +5,14 @@ import dataclasses
 import numpy as np
 
 from jaxbundle.block.block import Block, CheckPoints, Rays
+from jaxbundle.block.given import require_a
 from jaxbundle.block.observations import ObservationGroup
 from jaxbundle.numerics.host import on_device, on_host
 
 
 def with_interior_held(block: Block) -> Block:
     """The block with every interior element of its cameras held at its value."""
+    require_a(Block, block, "with_interior_held")
     structure = dataclasses.replace(block.structure, interior_free=np.zeros_like(block.structure.interior_free))
     return dataclasses.replace(block, structure=structure)
 

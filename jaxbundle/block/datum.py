@@ -8,6 +8,7 @@ import scipy.linalg
 
 from jaxbundle.block.block import Block, Datum
 from jaxbundle.block.datum_defect import DatumDefect, datum_defect, insufficient, sensitivity
+from jaxbundle.block.given import require_a
 from jaxbundle.block.problems import BlockError, Problem
 
 WEAK = 1e-3  # change of an element that hardly defines a direction, in units of the block's radius or in radians
@@ -33,6 +34,7 @@ def with_datum(block: Block) -> Block:
 
     Raises: BlockError where control exists but leaves a part of the datum undetermined.
     """
+    require_a(Block, block, "with_datum")
     structure = block.structure
     if structure.datum.kind in ("control", "minimal") or (structure.datum.kind == "inner" and structure.datum.held):
         return block

@@ -22,6 +22,7 @@ import numpy as np
 from jaxtyping import Array, Bool, Float, Int
 
 from jaxbundle.block.block import Block
+from jaxbundle.block.given import require_a
 from jaxbundle.block.problems import Problem
 from jaxbundle.block.residuals import Group, Observations, group_residuals, observations_of
 from jaxbundle.block.unknowns import Unknowns, unknowns_of
@@ -142,6 +143,7 @@ def null_space(block: Block) -> Float[np.ndarray, "column defect"]:
 
 def datum_defect(block: Block) -> DatumDefect:
     """What the control, the observed stations, the distances and the held elements leave undetermined."""
+    require_a(Block, block, "datum_defect")
     directions = null_space(block)
     names = [parameter.name for parameter in block.structure.parameters]
     taking_part = np.abs(directions[7:]).max(1, initial=0.0) > RANK_TOLERANCE

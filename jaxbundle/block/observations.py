@@ -17,6 +17,7 @@ Nothing else in the package knows how many kinds there are.
 
 from collections.abc import Callable
 from dataclasses import dataclass
+from functools import cache
 
 import equinox as eqx
 import numpy as np
@@ -25,6 +26,7 @@ from jaxtyping import Array, Bool, Float, Int
 from jaxbundle.camera.collinearity import Vector
 from jaxbundle.geometry.rotation import Rotation, Scalar
 from jaxbundle.numerics.host import array_module, on_device, on_host
+from jaxbundle.numerics.trial import defect
 
 
 @dataclass(frozen=True)
@@ -44,6 +46,32 @@ class ObservationKind:
     def residuals(self, touched: tuple, observed: tuple[Scalar, ...], constants: tuple[Scalar, ...]) -> tuple:
         """The residuals of a member, or of many whose scalars are arrays."""
         return self.residual(*touched, observed, constants) if self.constants else self.residual(*touched, observed)
+
+
+def kind_defect(kind: ObservationKind, elements: int) -> str:
+    """What keeps a kind from being one, as the end of a sentence; "" if nothing. A kind is tried once.
+
+    `elements`: interior elements of a camera.
+    """
+    if not callable(kind.residual):
+        return f"is of type {type(kind.residual).__name__}, not a function"
+    try:
+        return _tried(kind, elements)
+    except TypeError:  # what is static in a program must have a hash
+        return "cannot be hashed: its names are no tuples, or it is an object that holds arrays or lists"
+
+
+@cache
+def _tried(kind: ObservationKind, elements: int) -> str:
+    touched = {
+        "point": (0.0,) * 3,
+        "image": ((0.0,) * 3, (0.0,) * 9),
+        "camera": (0.0,) * elements,
+        "parameter": 0.0,
+    }
+    arguments = [touched[entity] for entity in kind.touches]
+    constants = [(0.0,) * len(kind.constants)] if kind.constants else []
+    return defect(kind.residual, (*arguments, (0.0,) * len(kind.components), *constants), len(kind.components))
 
 
 @dataclass(frozen=True, eq=False)

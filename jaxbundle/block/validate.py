@@ -4,14 +4,23 @@ import numpy as np
 from jaxtyping import Bool, Int
 
 from jaxbundle.block.block import Block
+from jaxbundle.block.consistency import inconsistencies, unusable_numbers
 from jaxbundle.block.datum import inner_needs_none, is_located
 from jaxbundle.block.datum_defect import datum_defect, insufficient
+from jaxbundle.block.first_residuals import unusable_models
+from jaxbundle.block.given import require_a
+from jaxbundle.block.magnitudes import absurd_numbers
 from jaxbundle.block.problems import BlockError, Problem
 
 
 def validate(block: Block) -> list[Problem]:
     """Problems of a block whose values are concrete, in the order in which they are best cured."""
+    require_a(Block, block, "validate")
+    wrong = inconsistencies(block)
+    if wrong:
+        return wrong  # nothing else can be looked at
     problems = [*_unusable_values(block), *_unusable_sigmas(block), *weaknesses(block)]
+    problems = problems or unusable_numbers(block) or absurd_numbers(block) or unusable_models(block)
     return problems or [*_redundancy(block), *_datum(block)]
 
 
@@ -79,7 +88,8 @@ def _unusable_sigmas(block: Block) -> list[Problem]:
 
 def _weak_images(block: Block) -> list[Problem]:
     structure = block.structure
-    rays = np.bincount(structure.ray_image, minlength=len(structure.image_names))
+    first = structure.ray_repeat == 0  # a point that is measured again on an image tells the image nothing new
+    rays = np.bincount(structure.ray_image[first], minlength=len(structure.image_names))
     known = 2 * rays + _observed_of(block, "image", len(rays))
     return [
         Problem(
@@ -97,7 +107,8 @@ def _weak_images(block: Block) -> list[Problem]:
 def _is_weak_point(block: Block) -> Bool[np.ndarray, " point"]:
     """Points with fewer observations than unknown coordinates."""
     structure = block.structure
-    rays = np.bincount(structure.ray_point, minlength=len(structure.point_names))
+    first = structure.ray_repeat == 0
+    rays = np.bincount(structure.ray_point[first], minlength=len(structure.point_names))
     return 2 * rays + _observed_of(block, "point", len(rays)) < structure.point_free.sum(1)
 
 

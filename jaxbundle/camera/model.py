@@ -25,6 +25,7 @@ import jax.numpy as jnp
 
 from jaxbundle.camera.collinearity import Vector
 from jaxbundle.geometry.rotation import Scalar
+from jaxbundle.numerics.trial import defect
 
 ImagePoint = tuple[Scalar, Scalar]
 SENSOR = ("pixel_size", "y_axis")
@@ -44,6 +45,26 @@ class CameraModel:
     def estimable(self) -> tuple[str, ...]:
         """Elements that an adjustment may estimate."""
         return tuple(name for name in self.elements if name not in HELD)
+
+
+def model_defect(model: CameraModel) -> str:
+    """What keeps a camera model from being one, as the end of a sentence; "" if nothing. A model is tried once."""
+    elements = model.elements
+    if not isinstance(elements, tuple) or not all(isinstance(name, str) for name in elements):
+        return f"has elements of type {type(elements).__name__}, not a tuple of names"
+    if len(set(elements)) < len(elements):
+        return f"names an element twice: {', '.join(elements)}"
+    if not callable(model.residual):
+        return f"has a residual of type {type(model.residual).__name__}, not a function"
+    try:
+        return _tried(model)
+    except TypeError:  # what is static in a program must have a hash
+        return "cannot be hashed: its residual is an object that holds arrays or lists"
+
+
+@cache
+def _tried(model: CameraModel) -> str:
+    return defect(model.residual, ((0.0,) * len(model.elements), (0.0,) * 3, (0.0,) * 2), 2)
 
 
 def reduced(measured: ImagePoint, x0: Scalar, y0: Scalar, pixel_size: Scalar, y_axis: Scalar) -> ImagePoint:

@@ -20,6 +20,7 @@ from jaxbundle.block.unknowns import Unknowns, corrected_in_angles
 from jaxbundle.normals import ordering
 from jaxbundle.normals.cells import Tiles, to_cells
 from jaxbundle.normals.eliminate import Shape
+from jaxbundle.normals.incidence import Views, group_image_pairs, kept_points, own_cameras, views_of
 from jaxbundle.normals.kept import KeptRays
 from jaxbundle.normals.long_tiles import long_tiling
 from jaxbundle.normals.products import AbstractProducts, Finder, class_products, group_products, pair_finder
@@ -29,8 +30,6 @@ from jaxbundle.normals.tiles import SLOTS, Tiling, tile_width, tiling
 from jaxbundle.numerics.devices import dealt
 from jaxbundle.numerics.host import array_module, is_concrete, on_device, on_host
 from jaxbundle.numerics.shapes import grid_size
-
-BORDER_SHARE = 0.1  # of the images' unknowns: so much of a border costs less than the matrix it keeps sparse
 
 
 class Order(NamedTuple):
@@ -110,58 +109,19 @@ class Problem(eqx.Module):
         return self.observations.point_free[:, :places].reshape(3, -1, self.shape.width)
 
 
-def kept_points(structure: Structure, groups: tuple[ObservationGroup, ...]) -> Bool[np.ndarray, " point"]:
-    """Points that cannot be eliminated one by one, since they share an observation, or better are not.
-
-    The second are points without rays, and a few points on very many images, which would fill the reduced matrix.
-    """
-    count = np.bincount(structure.ray_point, minlength=len(structure.point_names))
-    kept, long = count == 0, count > SLOTS
-    if 3 * long.sum() <= BORDER_SHARE * 6 * len(structure.image_names):
-        kept |= long
-    for group in groups:
-        touches = group.structure.kind.touches
-        for k, kind in enumerate(touches):
-            if kind == "point" and len(touches) > 1:
-                kept[group.structure.indices[:, k]] = True
-    return kept
-
-
-def own_cameras(structure: Structure) -> bool:
-    """Whether every image has a camera of its own, whose interior then belongs to the image's block."""
-    used = np.bincount(structure.image_camera, minlength=len(structure.cameras))
-    return bool(structure.interior_columns) and bool((used == 1).all())
-
-
-def _group_image_pairs(structure: Structure, group: ObservationGroup, own: bool) -> Int[np.ndarray, "member 2"] | None:
-    """The two images each member touches, None where it never touches two."""
-    camera_image = np.zeros(len(structure.cameras), int)
-    camera_image[structure.image_camera] = np.arange(len(structure.image_camera))
-    columns = []
-    for k, kind in enumerate(group.structure.kind.touches):
-        if kind == "image":
-            columns.append(group.structure.indices[:, k])
-        elif kind == "camera" and own:
-            columns.append(camera_image[group.structure.indices[:, k]])
-    if len(columns) > 2:
-        raise ValueError(f"observations of kind {group.structure.kind.name} touch more than two images")
-    return np.stack(columns, 1) if len(columns) == 2 else None
-
-
 def _parts(
     rays: Int[np.ndarray, " ray"],
-    image: Int[np.ndarray, " ray"],
+    views: Views,
     point: Int[np.ndarray, " ray"],
     points: int,
     reduced: ReducedPlan,
     find: Finder,
-    centres: Float[np.ndarray, "image 3"],
     devices: int,
     width: int,
 ) -> tuple[tuple[Part, ...], Int[np.ndarray, " point"]]:
     """Points with short tracks and those with long ones, as far as there are any; the place of every point.
 
-    `rays`: numbers of the rays in the block, sorted by point; `image` and `centres` in elimination order.
+    `rays`: numbers of the rays in the block, sorted by point.
     """
     long = np.bincount(point, minlength=points) > SLOTS
     parts, tile, first = [], np.empty((points, 3), np.int64), 0
@@ -170,8 +130,9 @@ def _parts(
             continue
         mine = np.nonzero(chosen[point])[0]
         number = np.cumsum(chosen) - 1
-        t = plan(image[mine], number[point[mine]], int(chosen.sum()), len(centres), centres, devices, width)
-        t.slot_image[t.slot_image == len(centres)] = reduced.images - 1
+        seen, count = views.of_ray[mine], len(views.rank)
+        t = plan(seen, number[point[mine]], int(chosen.sum()), count, views.centre, devices, width)
+        t.slot_image[...] = np.append(views.rank, reduced.images - 1)[t.slot_image]
         t.slot_tile[...] += first
         tile[chosen] = t.point_tile + np.array([0, first, 0])
         # conjugate gradients take diagonal blocks only
@@ -197,7 +158,7 @@ def arrange(
     images, cameras, own = len(structure.image_names), len(structure.cameras), own_cameras(structure)
     q = len(structure.interior_columns)
     kept = kept_points(structure, groups)
-    touching = [_group_image_pairs(structure, group, own) for group in groups]
+    touching = [group_image_pairs(structure, group, own) for group in groups]
     extra = [pairs for pairs in touching if pairs is not None]
     keep = kept[structure.ray_point]
     rays = np.nonzero(~keep)[0]
@@ -222,7 +183,8 @@ def arrange(
     ranked[row] = centres if centres is not None else np.stack([row, 0 * row, 0 * row], 1)
     width, padded_images = tile_width(len(rays)), reduced.images
     find = pair_finder(reduced.pairs, padded_images, reduced.pool - 1)
-    parts, place = _parts(rays, row[ray_image], ray_point, int((~kept).sum()), reduced, find, ranked, devices, width)
+    views = views_of(row[ray_image], structure.ray_repeat[rays], ranked)
+    parts, place = _parts(rays, views, ray_point, int((~kept).sum()), reduced, find, devices, width)
     places = devices * sum(part.tiling.tiles for part in parts) * width
     point = np.empty(len(kept), np.int64)
     point[~kept], point[kept] = place, places + np.arange(kept.sum())
@@ -297,7 +259,7 @@ def restored_unknowns(a: Arrangement, arranged: Arranged) -> Unknowns:
 
 def restored_rays(a: Arrangement, cells: list[Array], kept: list[Array]) -> Float[Array, "ray 2"]:
     """What belongs to the cells, two arrays a part, and to the rays of kept points, in the order of the block."""
-    place = np.empty(sum(len(part.rays) for part in a.parts) + len(a.kept_rays), int)
+    place = np.full(sum(len(part.rays) for part in a.parts) + len(a.kept_rays), -1)
     first = 0
     for part in a.parts:
         grid = part.tiling.ray.ravel()
@@ -305,6 +267,7 @@ def restored_rays(a: Arrangement, cells: list[Array], kept: list[Array]) -> Floa
         place[part.rays[grid[cell]]] = first + cell
         first += grid.size
     place[a.kept_rays] = first + np.arange(len(a.kept_rays))
+    assert (place >= 0).all(), "a ray has no cell of its own"
     xp = np if is_concrete((cells, kept)) else jnp
     columns = []
     for k in range(2):

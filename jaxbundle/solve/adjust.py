@@ -13,7 +13,9 @@ from jax.custom_batching import sequential_vmap
 from jaxtyping import Array
 
 from jaxbundle.block.block import Block
+from jaxbundle.block.consistency import require_consistent
 from jaxbundle.block.datum import with_datum
+from jaxbundle.block.given import require_a
 from jaxbundle.block.residuals import observations_of
 from jaxbundle.block.unknowns import unknowns_of
 from jaxbundle.block.validate import require_valid
@@ -85,14 +87,17 @@ def adjust(
     "exact", or by "gauss-newton" without the second derivatives of the observations. `progress` is called after every
     iteration. Ctrl-C ends the iterations and keeps the last accepted unknowns.
 
-    Raises: BlockError with all problems of the block; CheckpointError for a checkpoint of another block; ValueError for
-    an unknown name or without float64.
+    Raises: TypeError for what is not a Block; BlockError with all problems of the block; CheckpointError for a
+    checkpoint of another block; ValueError for an unknown name or without float64.
     """
+    require_a(Block, block, "adjust")
     require_options(method, engine, precision, reduced, derivatives)
     values = constant(block)
     if values.concrete:
         require_valid(values)
         require_same_block(values, method)
+    else:
+        require_consistent(values)
     wanted = _Wanted(method, stop or AngleRule(), max_iterations, engine, reduced, devices, derivatives, progress)
     if robust is None:
         found = _least_squares(block, wanted, precision, checkpoint)

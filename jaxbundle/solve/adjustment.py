@@ -7,10 +7,10 @@ import equinox as eqx
 import numpy as np
 from jaxtyping import Array, Float, Int
 
-from jaxbundle.block.block import Block
+from jaxbundle.block.block import Block, counted
 from jaxbundle.block.findings import Finding, Kind, Severity, of_kind
 from jaxbundle.normals.implicit import TOLERANCE
-from jaxbundle.numerics.host import array_module, on_device, on_host
+from jaxbundle.numerics.host import array_module, is_concrete, on_device, on_host
 
 REDUCED = {
     "dense": "dense Cholesky factorisation",
@@ -104,6 +104,12 @@ class Adjustment(eqx.Module):
     reduced: str = eqx.field(static=True)  # how the reduced equations were solved
     findings: tuple[Finding, ...] = eqx.field(static=True, default=())  # of the block and of its adjustment
     reweighting: Reweighting | None = None  # None: not robust
+
+    def __repr__(self) -> str:
+        structure = self.block.structure
+        counts = f"{counted(len(structure.image_names), 'image')}, {counted(len(structure.point_names), 'point')}"
+        how = f"{self.status.words}, sigma0 {float(self.sigma0):.4g}" if is_concrete(self) else "traced"
+        return f"<Adjustment {structure.name or '(unnamed)'}: {how}, {counts}>"
 
     @property
     def observations(self) -> int:
@@ -200,17 +206,17 @@ class Adjustment(eqx.Module):
         return (
             f"Robust weights: {robust.name}, limit {robust.limit:g}, {robust.rounds} rounds"
             f"{'' if robust.settled else ', which did not settle'};"
-            f" {_counted(low, 'ray')} below {DOWN_WEIGHTED:g}"
+            f" {counted(low, 'ray')} below {DOWN_WEIGHTED:g}"
         )
 
     def summary(self) -> str:
         """The result in a few lines; the report says the rest."""
         structure, n = self.block.structure, self.iterations
         counts = (
-            _counted(len(structure.image_names), "image"),
-            _counted(len(structure.cameras), "camera"),
-            _counted(len(structure.point_names), "point"),
-            _counted(len(structure.ray_image), "ray"),
+            counted(len(structure.image_names), "image"),
+            counted(len(structure.cameras), "camera"),
+            counted(len(structure.point_names), "point"),
+            counted(len(structure.ray_image), "ray"),
         )
         lines = [
             f"Block {structure.name or '(unnamed)'}: {', '.join(counts)}",
@@ -224,10 +230,6 @@ class Adjustment(eqx.Module):
             *(f"Failed: {finding.words}" for finding in self.failures),
         ]
         return "\n".join(lines)
-
-
-def _counted(number: int, noun: str) -> str:
-    return f"{number} {noun}{'' if number == 1 else 's'}"
 
 
 def _roots(cofactors: Array | np.ndarray) -> Any:

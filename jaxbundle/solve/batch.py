@@ -6,6 +6,7 @@ from dataclasses import dataclass
 from typing import Any, NamedTuple
 
 from jaxbundle.block.block import Block
+from jaxbundle.block.given import require_a
 from jaxbundle.normals.reduced_plan import Method
 from jaxbundle.solve.adjust import adjust, require_options
 from jaxbundle.solve.adjustment import Adjustment, Status
@@ -159,9 +160,14 @@ def _named(blocks: Any) -> Iterator[tuple[str, Block]]:
     """Blocks and their names, taken one by one."""
     taken: set[str] = set()
     if isinstance(blocks, Mapping):
-        yield from blocks.items()
+        for name, block in blocks.items():
+            require_a(Block, block, "adjust")
+            yield name, block
         return
+    if isinstance(blocks, str | Block) or not isinstance(blocks, Iterable):
+        raise TypeError("adjust_many takes several Blocks: call jb.adjust_many([block, ...]) or give a dict of names")
     for block in blocks:
+        require_a(Block, block, "adjust")
         name = unique(block.structure.name or "(unnamed)", taken)
         taken.add(name)
         yield name, block

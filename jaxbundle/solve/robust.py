@@ -14,6 +14,7 @@ smaller than errors. The last three forget large residuals altogether and have m
 """
 
 import abc
+import dataclasses
 from collections.abc import Callable
 from typing import ClassVar, NamedTuple
 
@@ -23,12 +24,14 @@ import numpy as np
 from jaxtyping import Array, Float
 
 from jaxbundle.block.block import Block
+from jaxbundle.block.findings import Finding, Kind, Subject
 from jaxbundle.numerics.host import on_device
-from jaxbundle.solve.adjustment import Adjustment, Reweighting
+from jaxbundle.solve.adjustment import Adjustment, Reweighting, Status
 
 MEDIAN_LENGTH = float(np.sqrt(2 * np.log(2)))  # of a vector of two standard normal numbers
 SETTLED = 1e-4  # change of a weight below which the weights are at rest
 MOST_ROUNDS = 50
+FAILED_ROUNDS = 2  # in a row whose adjustment does not converge: one may start far off, of two the next is no better
 LEAST_WEIGHT = 1e-12  # of a ray without weight, in place of 0: its sigma stays a number
 
 
@@ -102,26 +105,68 @@ def adjust_robustly(block: Block, function: AbstractWeightFunction, solve: Solve
     """
     if not block.concrete:
         raise ValueError("robust estimation chooses its weights outside of jit, grad and vmap")
+    end = _rounds(block, function, solve)
+    last = solve.fully(_weighted(end.block, np.asarray(block.rays.sigmas), end.weights))
+    weights = on_device(end.weights)
+    reweighting = Reweighting(function.name, function.limit, end.rounds, weights, end.settled)
+    restored = eqx.tree_at(lambda b: b.rays.sigmas, last.block, block.rays.sigmas)
+    if end.failed:
+        last = dataclasses.replace(last, findings=(*last.findings, _given_up(end)))
+    return eqx.tree_at(
+        lambda a: (a.block, a.reweighting), last, (restored, reweighting), is_leaf=lambda leaf: leaf is None
+    )
+
+
+class _End(NamedTuple):
+    """How the rounds ended. `failed`: the last ones' adjustments that did not converge."""
+
+    block: Block
+    weights: np.ndarray
+    rounds: int
+    settled: bool
+    failed: list[Status]
+
+
+def _rounds(block: Block, function: AbstractWeightFunction, solve: Solve) -> _End:
+    """Weights and adjustments by turns, until the weights settle or the adjustments do not converge any more."""
     sigmas = np.asarray(block.rays.sigmas)
-    weights, rounds, settled = np.ones(len(sigmas)), 0, False
+    weights, rounds, settled, failed = np.ones(len(sigmas)), 0, False, []
     start = solve.quickly(block)
     first = Huber() if function.redescending else function
     for now in dict.fromkeys((first, function)):
         for _ in range(MOST_ROUNDS):
             rounds += 1
             t = normed_lengths(start, sigmas, weights)
+            if not np.isfinite(t).all():
+                return _End(start.block, weights, rounds, False, [start.status])
             new = np.asarray(now.weights(on_device(t)))
-            settled = np.abs(new - weights).max(initial=0.0) < SETTLED
+            settled = bool(np.abs(new - weights).max(initial=0.0) < SETTLED)
             weights = new
             start = solve.quickly(_weighted(start.block, sigmas, weights))
+            failed = [] if start.status is Status.CONVERGED else [*failed, start.status]
+            if len(failed) == FAILED_ROUNDS:
+                return _End(start.block, weights, rounds, False, failed)
             if settled:
                 break
-    last = solve.fully(_weighted(start.block, sigmas, weights))
-    reweighting = Reweighting(function.name, function.limit, rounds, on_device(weights), bool(settled))
-    restored = eqx.tree_at(lambda b: b.rays.sigmas, last.block, block.rays.sigmas)
-    return eqx.tree_at(
-        lambda a: (a.block, a.reweighting), last, (restored, reweighting), is_leaf=lambda leaf: leaf is None
+    return _End(start.block, weights, rounds, settled, [])
+
+
+def _given_up(end: _End) -> Finding:
+    """The reason why the weights did not settle."""
+    return Finding(
+        Kind.UNSETTLED,
+        f"the robust weights did not settle: in round {end.rounds} the adjustment {end.failed[-1].words}",
+        "cure first what keeps the adjustment without robust weights from converging",
+        (Subject("rays"),),
     )
+
+
+def reweighted(adjustment: Adjustment) -> Block:
+    """The adjusted block with the sigmas of the last robust round; that of any other adjustment as it is."""
+    robust, block = adjustment.reweighting, adjustment.block
+    if robust is None:
+        return block
+    return _weighted(block, np.asarray(block.rays.sigmas), np.asarray(robust.weights))
 
 
 def _weighted(block: Block, sigmas: np.ndarray, weights: np.ndarray) -> Block:

@@ -15,6 +15,7 @@ import numpy as np
 from jaxtyping import Array, Bool, Float, Int
 
 from jaxbundle.block.block import Block, Structure
+from jaxbundle.block.given import require_a
 from jaxbundle.block.residuals import Observations, observations_of, ray_residuals
 from jaxbundle.block.unknowns import Unknowns
 from jaxbundle.camera.collinearity import central_projection, photo_vector
@@ -159,9 +160,11 @@ def measured_directions(
 
 def parallax_rule(block: Block, delta: float) -> ParallaxRule:
     """The rule for all pairs of successive images of each point."""
+    require_a(Block, block, "parallax_rule")
     structure = block.structure
     order = np.lexsort((structure.ray_image, structure.ray_point))
-    same = structure.ray_point[order][1:] == structure.ray_point[order][:-1]
+    image, point = structure.ray_image[order], structure.ray_point[order]
+    same = (point[1:] == point[:-1]) & (image[1:] != image[:-1])  # a point measured twice on an image has no base there
     first, second = jnp.asarray(order[:-1][same]), jnp.asarray(order[1:][same])
     return ParallaxRule(delta, first, second, observations_of(block))
 
@@ -171,6 +174,7 @@ def unknown_rule(block: Block, delta: float, *names: tuple[str, str]) -> Unknown
 
     Raises: ValueError naming what is not in the block.
     """
+    require_a(Block, block, "unknown_rule")
     structure = block.structure
     exterior = np.full((6, len(structure.image_names)), not names)
     interior = np.full((block.interior.elements.shape[1], len(structure.cameras)), not names)

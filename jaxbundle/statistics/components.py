@@ -23,6 +23,7 @@ from jaxtyping import Bool, Float
 
 from jaxbundle.block.block import Block
 from jaxbundle.block.datum import with_datum
+from jaxbundle.block.given import require_a
 from jaxbundle.block.observations import ObservationGroup
 from jaxbundle.block.validate import require_valid
 from jaxbundle.numerics.host import on_device
@@ -139,6 +140,7 @@ def variance_components(
     Raises: BlockError as `adjust`; ValueError for overlapping or inseparable groups, for a robust adjustment, where an
     adjustment fails, and for the form "helmert" of a large block.
     """
+    require_a(Block, block, "variance_components")
     if form not in ("redundancy", "helmert"):
         raise ValueError(f'no form {form!r}; there are "redundancy" and "helmert"')
     if options.get("robust") is not None:

@@ -8,7 +8,6 @@ A N^-1 A^T = U U^T,   r = 1 - diag(U U^T)  redundancy numbers of the observation
 from collections.abc import Sequence
 from typing import NamedTuple
 
-import equinox as eqx
 import jax
 import jax.numpy as jnp
 import numpy as np
@@ -22,7 +21,7 @@ from jaxbundle.normals.inverse_factor import inverse_factor
 from jaxbundle.numerics.compilation import Compiled
 from jaxbundle.numerics.host import on_device
 from jaxbundle.solve.adjustment import Adjustment
-from jaxbundle.solve.robust import LEAST_WEIGHT
+from jaxbundle.solve.robust import reweighted
 from jaxbundle.statistics.subsets import Subset
 
 MOST_UNKNOWNS = 3000  # A of 10 000 observations takes 240 MB
@@ -95,7 +94,7 @@ def dense_system(adjustment: Adjustment) -> DenseSystem:
 
     Raises: ValueError for a large block, and for unknowns that are not determined.
     """
-    return block_system(_weighted(adjustment))
+    return block_system(reweighted(adjustment))
 
 
 def block_system(block: Block) -> DenseSystem:
@@ -138,15 +137,6 @@ def redundancy_numbers(adjustment: Adjustment) -> tuple[Float[np.ndarray, "_memb
     """
     system = dense_system(adjustment)
     return system.tables(1 - np.sum(system.orthogonal**2, 1))
-
-
-def _weighted(adjustment: Adjustment) -> Block:
-    """The adjusted block with the sigmas of robust weights."""
-    block, robust = adjustment.block, adjustment.reweighting
-    if robust is None:
-        return block
-    factor = np.sqrt(np.maximum(np.asarray(robust.weights), LEAST_WEIGHT))[:, None]
-    return eqx.tree_at(lambda b: b.rays.sigmas, block, on_device(np.asarray(block.rays.sigmas) / factor))
 
 
 @Compiled

@@ -27,6 +27,7 @@ import numpy as np
 from jaxtyping import Float, Int
 from scipy.stats import chi2
 
+from jaxbundle.block.given import require_a
 from jaxbundle.solve.adjustment import Adjustment
 from jaxbundle.statistics.dense import DenseSystem, UnknownTables, dense_system
 from jaxbundle.statistics.subsets import (
@@ -117,6 +118,7 @@ def influence(adjustment: Adjustment, control: Subset) -> Influence:
 
     Raises: ValueError for image coordinates, for a large block, and for unknowns that are not determined.
     """
+    require_a(Adjustment, adjustment, "influence")
     return _influence(dense_system(adjustment), adjustment, control)
 
 
@@ -128,6 +130,7 @@ def control_influence(adjustment: Adjustment) -> ControlInfluence:
 
     Raises: ValueError for a block without weighted control, and as `influence`.
     """
+    require_a(Adjustment, adjustment, "control_influence")
     block = adjustment.block
     kinds = dict.fromkeys(group.structure.kind.name for group in block.groups if group.count)
     if not kinds:

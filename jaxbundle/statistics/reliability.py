@@ -18,8 +18,10 @@ import numpy as np
 from jaxtyping import Float
 from scipy.special import ndtri, stdtrit
 
+from jaxbundle.block.given import require_a
 from jaxbundle.numerics.host import on_host
 from jaxbundle.solve.adjustment import Adjustment
+from jaxbundle.solve.robust import reweighted
 
 LEVEL = 0.001  # of one test, and
 POWER = 0.80  # its power: Baarda's usual choice
@@ -76,14 +78,15 @@ def redundancy_numbers(adjustment: Adjustment) -> Tables:
 
 
 def reliability(adjustment: Adjustment, level: float = LEVEL, power: float = POWER) -> Reliability:
-    """Reliability of all observations.
+    """Reliability of all observations; the rays of a robust adjustment with the weights of its last round.
 
     Raises: ValueError where the adjustment has no redundancy numbers.
     """
+    require_a(Adjustment, adjustment, "reliability")
     numbers = redundancy_numbers(adjustment)
     groups = adjustment.block.groups
     observed = [np.ones(adjustment.residuals[0].shape, bool), *(group.structure.observed for group in groups)]
-    sigmas = [np.asarray(adjustment.block.rays.sigmas), *(_sigmas(group) for group in groups)]
+    sigmas = [np.asarray(reweighted(adjustment).rays.sigmas), *(_sigmas(group) for group in groups)]
     delta = non_centrality(level, power)
     tables = []
     for r, v, is_observed, sigma in zip(numbers, adjustment.weighted_residuals, observed, sigmas, strict=True):

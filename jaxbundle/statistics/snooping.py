@@ -9,6 +9,7 @@ import numpy as np
 
 from jaxbundle.block.block import Block
 from jaxbundle.block.changes import without_component, without_ray
+from jaxbundle.block.given import require_a
 from jaxbundle.solve.adjust import adjust
 from jaxbundle.solve.adjustment import Adjustment
 from jaxbundle.statistics.reliability import UNCONTROLLED, critical_w, level_of_one, reliability
@@ -48,6 +49,7 @@ def snoop(adjustment: Adjustment, level: float = LEVEL, most: int = 50) -> Snoop
 
     Raises: ValueError where the adjustment has no redundancy numbers.
     """
+    require_a(Adjustment, adjustment, "snoop")
     removed: list[Removed] = []
     while len(removed) < most:
         worst = _worst(adjustment, level)

@@ -12,6 +12,7 @@ import numpy as np
 from jaxtyping import Bool
 
 from jaxbundle.block.block import Block
+from jaxbundle.block.given import require_a
 from jaxbundle.block.observations import ObservationGroup
 
 Mask = Bool[np.ndarray, "_member _component"]
@@ -57,11 +58,13 @@ def image_coordinates(block: Block) -> Subset:
 
 def control_rays(block: Block) -> Subset:
     """Group I of the text 001: image coordinates of control points, those with a held or an observed coordinate."""
+    require_a(Block, block, "control_rays")
     return _rays(block, "rays of control points", is_control_point(block)[block.structure.ray_point])
 
 
 def tie_rays(block: Block) -> Subset:
     """Group II of the text 001: image coordinates of all other points."""
+    require_a(Block, block, "tie_rays")
     return _rays(block, "rays of tie points", ~is_control_point(block)[block.structure.ray_point])
 
 
@@ -70,6 +73,7 @@ def camera_rays(block: Block, camera: str) -> Subset:
 
     Raises: ValueError for an unknown name, as all that take names.
     """
+    require_a(Block, block, "camera_rays")
     names = tuple(camera.name for camera in block.structure.cameras)
     (number,) = _numbers("camera", names, [camera])
     return _rays(block, f"rays of camera {camera}", block.structure.image_camera[block.structure.ray_image] == number)
@@ -77,12 +81,14 @@ def camera_rays(block: Block, camera: str) -> Subset:
 
 def image_rays(block: Block, images: Collection[str], name: str) -> Subset:
     """Image coordinates measured on some images, as those of a strip; `name` is the strip's."""
+    require_a(Block, block, "image_rays")
     numbers = _numbers("image", block.structure.image_names, images)
     return _rays(block, name, np.isin(block.structure.ray_image, numbers))
 
 
 def observations_of_kind(block: Block, kind: str, components: Collection[str] | None = None) -> Subset:
     """All observations of a kind by the name of its table, or some components: XY or Z of "control", say."""
+    require_a(Block, block, "observations_of_kind")
     kinds = {group.structure.kind.name: group.structure.kind for group in block.groups}
     if kind not in kinds:
         raise ValueError(f"the block has no observations {kind!r}; there are {', '.join(kinds) or 'none'}")
@@ -100,6 +106,7 @@ def observations_of_kind(block: Block, kind: str, components: Collection[str] | 
 
 def control_point(block: Block, point: str) -> Subset:
     """The observed coordinates of one control point."""
+    require_a(Block, block, "control_point")
     (number,) = _numbers("point", block.structure.point_names, [point])
 
     def chosen(group: ObservationGroup) -> Mask:
@@ -119,11 +126,13 @@ def observed_points(block: Block) -> tuple[str, ...]:
 
 def all_control(block: Block) -> Subset:
     """Group III of the text 001: everything observed that is no image coordinate."""
+    require_a(Block, block, "all_control")
     return _members(block, "all control", lambda group: group.structure.observed)
 
 
 def three_groups(block: Block) -> tuple[Subset, ...]:
     """Groups I and II of the text 001 and, in place of group III, one subset a kind of observation."""
+    require_a(Block, block, "three_groups")
     kinds = dict.fromkeys(group.structure.kind.name for group in block.groups)
     subsets = control_rays(block), tie_rays(block), *(observations_of_kind(block, kind) for kind in kinds)
     return tuple(subset for subset in subsets if subset.count)

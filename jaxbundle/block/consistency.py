@@ -1,0 +1,341 @@
+"""Whether a block put together by hand is one: types, shapes, index ranges, names and functions, all told at once.
+
+What is found here makes every other look at the block meaningless, so nothing else is looked at before.
+"""
+
+from collections.abc import Iterator, Sequence
+from typing import Any
+
+import jax.numpy as jnp
+import numpy as np
+
+from jaxbundle.block.block import Block, Camera, Datum, Parameter, Structure
+from jaxbundle.block.observations import ObservationGroup, ObservationKind, kind_defect
+from jaxbundle.block.problems import BlockError, Problem
+from jaxbundle.camera.model import HELD, CameraModel, model_defect
+
+DATUMS = ("control", "fixed", "minimal", "inner", "open")
+ENTITIES = ("image", "point", "camera", "parameter")
+NUMBERS = {
+    "integer": (np.integer, "integers"),
+    "bool": (np.bool_, "True and False"),
+    "float": (np.floating, "floating-point numbers"),
+}
+
+
+def require_consistent(block: Block) -> None:
+    """Raises BlockError with everything that keeps the parts of a block from fitting together."""
+    problems = inconsistencies(block)
+    if problems:
+        raise BlockError(problems)
+
+
+def inconsistencies(block: Block) -> list[Problem]:
+    """What does not fit together in a block; the values of its arrays take no part, and may be traced."""
+    structure = block.structure
+    if not isinstance(structure, Structure):
+        return [Problem(f"the structure is {_type(structure)}, not a Structure", "build a jb.Structure")]
+    names = [*_names(structure)]
+    if names:
+        return names  # without names there are no counts
+    found = [*_incidences(structure), *_masks(structure)]
+    found += [*_values(block), *_groups(block)]
+    return found or [*_interior(block), *_datum(structure)]
+
+
+def _counts(s: Structure) -> dict[str, int]:
+    counts = len(s.image_names), len(s.point_names), len(s.cameras), len(s.parameters)
+    return dict(zip(ENTITIES, counts, strict=True))
+
+
+def _type(value: Any) -> str:
+    return "None" if value is None else f"of type {type(value).__name__}"
+
+
+def _names(s: Structure) -> Iterator[Problem]:
+    """Names and cameras: their types, and each name once."""
+    for table, values, kind in (
+        ("images", s.image_names, str),
+        ("points", s.point_names, str),
+        ("cameras", s.cameras, Camera),
+        ("parameters", s.parameters, Parameter),
+    ):
+        if not isinstance(values, tuple) or not all(isinstance(value, kind) for value in values):
+            yield Problem(f"the {table} are {_type(values)}", f"give a tuple of {kind.__name__}", table)
+            continue
+        names = values if kind is str else tuple(value.name for value in values)
+        if len(set(names)) < len(names):
+            seen: set[str] = set()
+            twice = next(name for name in names if name in seen or seen.add(name))
+            more = len(names) - len(set(names))
+            yield Problem(
+                f"the name {twice!r} is given twice, {more} of {len(names)} names repeat others",
+                "give every one a name of its own",
+                table,
+            )
+    for table, values in (("images", s.image_names), ("cameras", s.cameras)):
+        if len(values) == 0:
+            yield Problem(f"there are no {table}", "give at least one", table)
+
+
+def _array_problem(what: str, value: Any, shape: tuple[int, ...], wanted: str, axes: str) -> Problem | None:
+    """What is wrong with an array of `wanted` numbers: "float", "integer" or "bool"; `axes` explains its shape."""
+    if not hasattr(value, "shape") or not hasattr(value, "dtype"):
+        return Problem(f"{what} is {_type(value)}, not an array", f"give an array of shape {shape}, {axes}")
+    if tuple(value.shape) != shape:
+        return Problem(f"{what} has the shape {tuple(value.shape)}", f"give an array of shape {shape}, {axes}")
+    kind, numbers = NUMBERS[wanted]
+    if not jnp.issubdtype(value.dtype, kind):
+        return Problem(f"{what} is an array of {value.dtype}", f"give an array of {numbers}")
+    # a host array is turned to the precision in use, one of JAX keeps what it has
+    if wanted == "float" and jnp.finfo(value.dtype).bits < jnp.finfo(jnp.result_type(float)).bits:
+        return Problem(f"{what} is an array of {value.dtype}, too coarse for an adjustment", "give float64")
+    return None
+
+
+def _index_problems(what: str, index: Any, size: int, table: str, of: str) -> list[Problem]:
+    """Indices outside of a table, as one problem; `what` names row {}, `of` what it names."""
+    if not isinstance(index, np.ndarray):
+        return [Problem(f"the indices of {of}s are {_type(index)}", "give a numpy array: indices are static", table)]
+    wrong = np.flatnonzero((index < 0) | (index >= size))
+    if len(wrong) == 0:
+        return []
+    row = int(wrong[0])
+    more = f", and {len(wrong) - 1} more alike" if len(wrong) > 1 else ""
+    there = "are" if size != 1 else "is"
+    return [
+        Problem(
+            f"{what.format(row)} names {of} {index[row]}, there {there} {size} {of}{'s' if size != 1 else ''}{more}",
+            f"number the {of}s from 0" + (f" to {size - 1}" if size else ""),
+            table,
+            row,
+        )
+    ]
+
+
+def _indices(what: str, value: Any, rows: int | None, size: int, table: str, of: str) -> Iterator[Problem]:
+    """A row of indices: its shape, its type and its range."""
+    rows = len(value) if rows is None and getattr(value, "ndim", 0) == 1 else rows or 0
+    wrong = _array_problem(f"{what} (indices of {of}s)", value, (rows,), "integer", f"one index for each {table[:-1]}")
+    if wrong:
+        yield wrong
+    else:
+        yield from _index_problems(table[:-1].replace("_", " ") + " {}", value, size, table, of)
+
+
+def _incidences(s: Structure) -> Iterator[Problem]:
+    """Who sees what."""
+    images, points, cameras = len(s.image_names), len(s.point_names), len(s.cameras)
+    rays = len(s.ray_image) if getattr(s.ray_image, "ndim", 0) == 1 else 0
+    yield from _indices("image_camera", s.image_camera, images, cameras, "images", "camera")
+    yield from _indices("ray_image", s.ray_image, rays, images, "rays", "image")
+    yield from _indices("ray_point", s.ray_point, rays, points, "rays", "point")
+    yield from _indices("check_point", s.check_point, None, points, "check_points", "point")
+
+
+def _masks(s: Structure) -> Iterator[Problem]:
+    """What is unknown."""
+    elements = max((len(camera.model.elements) for camera in s.cameras if _is_model(camera)), default=0)
+    yield from (_model_problem(camera) for camera in s.cameras if _model_problem(camera))
+    width = getattr(s.interior_free, "shape", (0, elements))[-1:]
+    columns = max(elements, *width) if width else elements
+    for what, value, shape, axes in (
+        ("exterior_free", s.exterior_free, (len(s.image_names), 6), "one row for each image"),
+        ("point_free", s.point_free, (len(s.point_names), 3), "one row for each point"),
+        ("interior_free", s.interior_free, (len(s.cameras), columns), "one row for each camera"),
+    ):
+        wrong = _array_problem(what, value, shape, "bool", axes)
+        if wrong or not isinstance(value, np.ndarray):
+            yield wrong or Problem(f"{what} is {_type(value)}", "give a numpy array: what is unknown is static")
+        elif what == "interior_free":
+            yield from _held_elements(s)
+
+
+def _held_elements(s: Structure) -> Iterator[Problem]:
+    """Interior elements that are unknown although the camera has none there, or that define its unit."""
+    for row, (camera, free) in enumerate(zip(s.cameras, s.interior_free, strict=True)):
+        if not _is_model(camera):
+            continue
+        elements = camera.model.elements
+        beyond = [f"number {k + 1}" for k in np.flatnonzero(free) if k >= len(elements)]
+        held = [name for name, unknown in zip(elements, free, strict=False) if unknown and name in HELD]
+        if beyond or held:
+            yield Problem(
+                f"interior element {', '.join(beyond + held)} of camera {camera.name} is free, and cannot be estimated",
+                f"set interior_free to False for all but {', '.join(camera.model.estimable)}",
+                "cameras",
+                row,
+            )
+
+
+def _is_model(camera: Camera) -> bool:
+    return isinstance(camera.model, CameraModel)
+
+
+def _model_problem(camera: Camera) -> Problem | None:
+    """What is wrong with a camera's model."""
+    if not _is_model(camera):
+        return Problem(
+            f"the model of camera {camera.name} is {_type(camera.model)}, not a CameraModel",
+            'take one of jb.CAMERA_MODELS, as jb.CAMERA_MODELS["brown"], or build a jb.CameraModel',
+            "cameras",
+        )
+    wrong = model_defect(camera.model)
+    if not wrong:
+        return None
+    return Problem(
+        f"the camera model {camera.model.name!r} of camera {camera.name} {wrong}",
+        "write residual(interior, photo_vector, measured) -> (v_x, v_y) of scalars with jax.numpy",
+        "cameras",
+    )
+
+
+def _values(block: Block) -> Iterator[Problem]:
+    """The arrays of values, against the counts of the structure."""
+    s, n = block.structure, _counts(block.structure)
+    rays, check = len(np.atleast_1d(s.ray_image)), len(np.atleast_1d(s.check_point))
+    width = getattr(s.interior_free, "shape", (0, 0))[-1]
+    for what, path, shape, axes in (
+        ("exterior.projection_centre", ("exterior", "projection_centre"), (n["image"], 3), "one row for each image"),
+        ("exterior.angles", ("exterior", "angles"), (n["image"], 3), "one row for each image"),
+        ("interior.elements", ("interior", "elements"), (n["camera"], width), "one row for each camera"),
+        ("object_points", ("object_points",), (n["point"], 3), "one row for each point"),
+        ("rays.coordinates", ("rays", "coordinates"), (rays, 2), "one row for each ray"),
+        ("rays.sigmas", ("rays", "sigmas"), (rays, 2), "one row for each ray"),
+        ("check_points.coordinates", ("check_points", "coordinates"), (check, 3), "one row for each check point"),
+        ("check_points.sigmas", ("check_points", "sigmas"), (check, 3), "one row for each check point"),
+        ("parameters", ("parameters",), (n["parameter"],), "one number for each parameter"),
+    ):
+        value: Any = block
+        for name in path:
+            value = getattr(value, name, None)
+        wrong = _array_problem(what, value, shape, "float", axes)
+        if wrong:
+            yield wrong
+
+
+def _groups(block: Block) -> Iterator[Problem]:
+    """The observations that are no rays."""
+    if not isinstance(block.groups, tuple):
+        yield Problem(f"groups is {_type(block.groups)}", "give a tuple, of one ObservationGroup for each kind")
+        return
+    for number, group in enumerate(block.groups):
+        if not isinstance(group, ObservationGroup):
+            yield Problem(f"group {number} is {_type(group)}", "build it with jb.observation_group(...)")
+        elif not isinstance(group.structure.kind, ObservationKind):
+            yield Problem(
+                f"the kind of group {number} is {_type(group.structure.kind)}",
+                "take one, as jb.CONTROL or jb.DISTANCES, or build a jb.ObservationKind",
+            )
+        else:
+            found = [*_group_arrays(block.structure, group)]
+            yield from found or _kind_problems(block.structure, group)
+
+
+def _group_arrays(s: Structure, group: ObservationGroup) -> Iterator[Problem]:
+    """Shapes and indices of one group."""
+    kind, indices = group.structure.kind, group.structure.indices
+    unknown = [touched for touched in kind.touches if touched not in ENTITIES]
+    if unknown:
+        yield Problem(
+            f"observations of kind {kind.name} touch {unknown[0]!r}",
+            f"name entities of the block: {', '.join(ENTITIES)}",
+            kind.name,
+        )
+        return
+    members = len(indices) if getattr(indices, "ndim", 0) == 2 else 0
+    parts, touched = len(kind.components), len(kind.touches)
+    arrays = [
+        ("indices", indices, (members, touched), "integer", f"columns {', '.join(kind.touches)}"),
+        ("observed", group.structure.observed, (members, parts), "bool", f"columns {', '.join(kind.components)}"),
+        ("values", group.values, (members, parts), "float", f"columns {', '.join(kind.components)}"),
+        ("sigmas", group.sigmas, (members, parts), "float", f"columns {', '.join(kind.components)}"),
+        ("constants", group.constants, (members, len(kind.constants)), "float", f"{len(kind.constants)} columns"),
+    ]
+    if group.covariances is not None:
+        arrays.append(("covariances", group.covariances, (members, parts, parts), "float", "one matrix for each row"))
+    wrong = [_array_problem(f"{what} of {kind.name}", value, *rest) for what, value, *rest in arrays]
+    yield from (problem for problem in wrong if problem)
+    if wrong[0] is None:
+        for column, entity in enumerate(kind.touches):
+            at = indices[:, column] if isinstance(indices, np.ndarray) else indices
+            yield from _index_problems(f"row {{}} of {kind.name}", at, _counts(s)[entity], kind.name, entity)
+
+
+def _kind_problems(s: Structure, group: ObservationGroup) -> Iterator[Problem]:
+    """The function of a kind, with as many interior elements as a touched camera has."""
+    kind = group.structure.kind
+    wrong = kind_defect(kind, len(s.model.elements) if not list(filter(None, map(_model_problem, s.cameras))) else 0)
+    if wrong:
+        takes = ", ".join([*kind.touches, "observed", *(["constants"] if kind.constants else [])])
+        yield Problem(
+            f"the residual of observations of kind {kind.name!r} {wrong}",
+            f"write residual({takes}) -> {len(kind.components)} residuals in a tuple, of scalars with jax.numpy",
+            kind.name,
+        )
+
+
+def _interior(block: Block) -> Iterator[Problem]:
+    """Enough columns for the elements of every model."""
+    have = block.interior.elements.shape[1]
+    for row, camera in enumerate(block.structure.cameras):
+        need = len(camera.model.elements)
+        if need > have:
+            yield Problem(
+                f"camera {camera.name} has {have} interior elements, its model {camera.model.name} takes {need}",
+                f"give {', '.join(camera.model.elements)}",
+                "cameras",
+                row,
+            )
+
+
+def _datum(s: Structure) -> Iterator[Problem]:
+    """The datum and what it names."""
+    if not isinstance(s.datum, Datum) or s.datum.kind not in DATUMS:
+        given = s.datum.kind if isinstance(s.datum, Datum) else s.datum
+        yield Problem(f"there is no datum {given!r}", f"take one of {', '.join(DATUMS)}", "datum")
+        return
+    yield from _unknown("point", s.datum.points, s.point_names)
+    yield from _unknown("image", [image for image, _ in s.datum.held], s.image_names)
+    yield from _unknown("element", [element for _, element in s.datum.held], s.exterior_elements)
+
+
+def _unknown(what: str, names: Sequence[str], there: Sequence[str]) -> Iterator[Problem]:
+    """Names of the datum that the block does not have."""
+    missing = sorted(set(names) - set(there)) if names else []
+    if missing:
+        more = f" and {len(missing) - 1} more" if len(missing) > 1 else ""
+        yield Problem(f"the datum names {what} {missing[0]!r}{more}, which the block does not have", "drop it", "datum")
+
+
+def unusable_numbers(block: Block) -> list[Problem]:
+    """Parameters and constants that are no numbers, and covariances that are none; the block's values are concrete."""
+    s, found = block.structure, []
+    for k in np.flatnonzero(~np.isfinite(np.asarray(block.parameters))):
+        found.append(
+            Problem(f"parameter {s.parameters[k].name} is not a finite number", "give it an approximate value")
+        )
+    for group in block.groups:
+        kind = group.structure.kind
+        for row in np.flatnonzero(~np.isfinite(np.asarray(group.constants)).all(1)):
+            what = f"one of {', '.join(kind.constants)} is not a finite number"
+            found.append(Problem(what, "give the number or drop the row", kind.name, int(row)))
+        for row in _indefinite(group):
+            what = "the covariances are not those of a positive definite matrix"
+            found.append(Problem(what, "give a covariance matrix of positive eigenvalues", kind.name, int(row)))
+    return found
+
+
+def _indefinite(group: ObservationGroup) -> Sequence[int]:
+    """Members whose observed components have no positive definite covariance matrix."""
+    if group.covariances is None:
+        return []
+    observed = group.structure.observed
+    both = observed[:, :, None] & observed[:, None, :]
+    matrices = np.where(both, np.asarray(group.covariances), np.eye(observed.shape[1]))
+    finite = np.isfinite(matrices).all((1, 2))
+    safe = np.where(finite[:, None, None], matrices, np.eye(observed.shape[1]))
+    roots = np.sqrt(np.maximum(np.diagonal(safe, axis1=1, axis2=2), np.finfo(float).tiny))
+    smallest = np.linalg.eigvalsh(safe / roots[:, :, None] / roots[:, None, :])[:, 0]
+    # as correlations, of which one may fall below this by rounding alone
+    return np.flatnonzero(~(finite & (smallest > np.finfo(float).eps))).tolist()

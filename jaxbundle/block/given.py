@@ -1,0 +1,22 @@
+"""What a public function was given, checked in one sentence with its cure."""
+
+from pathlib import Path
+
+
+def require_a(kind: type, given: object, function: str) -> None:
+    """Raises TypeError unless the first argument of a public function is of a kind: a Block, an Adjustment."""
+    if isinstance(given, kind):
+        return
+    path = f"jb.read({str(given)!r})" if isinstance(given, str | Path) else 'jb.read("folder")'
+    if isinstance(getattr(given, "block", None), kind):
+        name = type(given).__name__.lower()
+        cure = f"{name}.block"  # of an Adjustment, of a Simulation
+    elif kind.__name__ == "Block":
+        cure = path
+    elif type(given).__name__ == "Block":
+        cure = "jb.adjust(block)"
+    else:
+        cure = f"jb.adjust({path})"
+    article = "an" if kind.__name__[0] in "AEIO" else "a"
+    what = "None" if given is None else f"{given!r}" if isinstance(given, str) else type(given).__name__
+    raise TypeError(f"{function} takes {article} {kind.__name__}, not {what}: call jb.{function}({cure})")

@@ -1,0 +1,135 @@
+"""Numbers that no survey gives: too large or too small for double precision, many full turns, lines of no length.
+
+They are finite, and yet squares of them overflow, differences of them lose every digit, and directions along them are
+not defined. Each table is told once, with its first row and the number of all.
+"""
+
+from collections.abc import Iterator
+
+import numpy as np
+from jaxtyping import Bool, Float
+
+from jaxbundle.block.block import Block
+from jaxbundle.block.findings import Finding, Kind, Subject
+from jaxbundle.block.geodetic import ANGLES
+from jaxbundle.block.observations import ObservationGroup
+from jaxbundle.block.problems import Problem
+
+LARGEST = 1e12  # of a coordinate in its unit: double precision then resolves 0.0001, and of sigmas
+SMALLEST = 1e-12  # of a sigma in its unit, radians for angles; finer than any instrument by far
+MAX_TURNS = 10  # of an angle: counted turns of a theodolite are few, and rounding of a large angle is felt
+UNITS = {"deg": 180 / np.pi, "gon": 200 / np.pi, "rad": 1.0}
+LEVEL = ("azimuths", "directions", "horizontal_distances", "zenith_angles")  # take a horizontal distance
+SLOPE = ("distances", "scale_bars")  # take a distance in space
+
+
+def absurd_numbers(block: Block) -> list[Problem]:
+    """What is out of all proportion in a block of finite numbers whose parts fit together."""
+    return [*_out_of_range(block), *_turned(block), *_without_length(block)]
+
+
+def _told(rows: Bool[np.ndarray, " row"], table: str, what: str, cure: str) -> Iterator[Problem]:
+    """One problem for all rows of a table; `what` is said of the first."""
+    wrong = np.flatnonzero(rows)
+    if len(wrong):
+        more = f", and of {len(wrong) - 1} more rows" if len(wrong) > 1 else ""
+        yield Problem(f"{what}{more}", cure, table, int(wrong[0]))
+
+
+def _out_of_range(block: Block) -> Iterator[Problem]:
+    """Coordinates, sigmas, interior elements and times."""
+    s = block.structure
+    tables = [
+        ("images", "projection centre", block.exterior.projection_centre),
+        ("points", "approximate coordinate", block.object_points),
+        ("cameras", "interior element", block.interior.elements),
+        ("rays", "image coordinate", block.rays.coordinates),
+        ("check_points", "coordinate", block.check_points.coordinates),
+    ]
+    sigmas = [("rays", block.rays.sigmas)]
+    for group in block.groups:
+        kind = group.structure.kind
+        tables += [(kind.name, "observed value", group.values), (kind.name, "constant", group.constants)]
+        sigmas.append((kind.name, group.sigmas if group.covariances is None else np.sqrt(_variances(group))))
+    for table, name, values in tables:
+        size = np.abs(np.asarray(values, float))
+        rows = (size > LARGEST).any(1)
+        if rows.any():
+            row = int(np.argmax(rows))
+            what = f"the {name} {np.asarray(values)[row][size[row] > LARGEST][0]:.3g} is beyond {LARGEST:.0e}"
+            yield from _told(rows, table, what, f"correct it: in {s.object_unit} or px no survey reaches so far")
+    for table, values in sigmas:
+        values = np.asarray(values, float)
+        out = (values < SMALLEST) | (values > LARGEST)
+        if out.any():
+            what = f"the standard deviation {values[out][0]:.3g} lies outside {SMALLEST:.0e} to {LARGEST:.0e}"
+            cure = "give the accuracy of the measurement; hold a value that is free of error instead"
+            yield from _told(out.any(1), table, what, cure)
+
+
+def _variances(group: ObservationGroup) -> Float[np.ndarray, "member component"]:
+    """Of the observed components; 1 for the others."""
+    variances = np.diagonal(np.asarray(group.covariances), axis1=1, axis2=2)
+    return np.where(group.structure.observed, variances, 1.0)
+
+
+def _turned(block: Block) -> Iterator[Problem]:
+    """Angles of many full turns."""
+    unit = block.structure.angle_unit
+    tables = [("images", np.asarray(block.exterior.angles))]
+    for group in block.groups:
+        if group.structure.kind.name in (*ANGLES, "attitudes"):
+            tables.append((group.structure.kind.name, np.asarray(group.values)))
+    for table, angles in tables:
+        out = np.abs(angles) > MAX_TURNS * 2 * np.pi
+        if out.any():
+            what = (
+                f"the angle {angles[out][0] * UNITS.get(unit, 1.0):.10g} {unit} makes more than {MAX_TURNS} full turns"
+            )
+            yield from _told(out.any(1), table, what, f"give it within one full turn, and check that it is in {unit}")
+
+
+def _without_length(block: Block) -> Iterator[Problem]:
+    """Azimuths and distances between ends whose approximate values coincide: they have no direction there."""
+    ends = {"point": np.asarray(block.object_points), "image": np.asarray(block.exterior.projection_centre)}
+    names = {"point": block.structure.point_names, "image": block.structure.image_names}
+    for group in block.groups:
+        kind, indices = group.structure.kind, group.structure.indices
+        if kind.name not in (*LEVEL, *SLOPE) or len(indices) == 0:
+            continue
+        start, end = (ends[kind.touches[k]][indices[:, k]] for k in range(2))
+        axes = 2 if kind.name in LEVEL else 3
+        length = np.linalg.norm((end - start)[:, :axes], axis=1)
+        rounding = 4 * np.finfo(float).eps * np.maximum(np.abs(start), np.abs(end)).max(1)
+        rows = length <= rounding
+        if rows.any():
+            row = int(np.argmax(rows))
+            a, b = (names[kind.touches[k]][indices[row, k]] for k in range(2))
+            same = "X and Y" if axes == 2 else "coordinates"
+            what = (
+                f"{a} and {b} have the same approximate {same}, so the {kind.components[0]} between them is undefined"
+            )
+            cure = "correct the names or the approximate coordinates; points one above the other are a plumb line"
+            yield from _told(rows, kind.name, what, cure)
+
+
+def repeated_rows(block: Block) -> tuple[Finding, ...]:
+    """Rows that repeat another of their table to the last digit. They are adjusted as observations of their own."""
+    found = []
+    for group in block.groups:
+        kind = group.structure.kind
+        rows = np.column_stack([group.structure.indices, np.asarray(group.values), np.asarray(group.sigmas)])
+        repeats = len(rows) - len(np.unique(rows, axis=0))
+        if repeats:
+            count = f"{repeats} row of {kind.name} repeats" if repeats == 1 else f"{repeats} rows of {kind.name} repeat"
+            found.append(
+                Finding(
+                    Kind.INFORMATION,
+                    f"{count} another one to the last digit; each counts as an observation of its own",
+                    "drop those that are copies, for they make the standard deviations too small",
+                    (Subject(kind.name),),
+                    float(repeats),
+                    "rows",
+                )
+            )
+    return tuple(found)
