@@ -24,7 +24,7 @@ from jaxtyping import Array, Float
 
 from jaxbundle.block.block import Block
 from jaxbundle.numerics.host import on_device
-from jaxbundle.solve.adjustment import Adjustment, Reweighting
+from jaxbundle.solve.adjustment import Adjustment, Reweighting, Status
 
 MEDIAN_LENGTH = float(np.sqrt(2 * np.log(2)))  # of a vector of two standard normal numbers
 SETTLED = 1e-4  # change of a weight below which the weights are at rest
@@ -104,19 +104,25 @@ def adjust_robustly(block: Block, function: AbstractWeightFunction, solve: Solve
         raise ValueError("robust estimation chooses its weights outside of jit, grad and vmap")
     sigmas = np.asarray(block.rays.sigmas)
     weights, rounds, settled = np.ones(len(sigmas)), 0, False
-    start = solve.quickly(block)
+    last = start = solve.quickly(block)
     first = Huber() if function.redescending else function
-    for now in dict.fromkeys((first, function)):
-        for _ in range(MOST_ROUNDS):
-            rounds += 1
-            t = normed_lengths(start, sigmas, weights)
-            new = np.asarray(now.weights(on_device(t)))
-            settled = np.abs(new - weights).max(initial=0.0) < SETTLED
-            weights = new
-            start = solve.quickly(_weighted(start.block, sigmas, weights))
-            if settled:
-                break
-    last = solve.fully(_weighted(start.block, sigmas, weights))
+    try:
+        for now in dict.fromkeys((first, function)):
+            for _ in range(MOST_ROUNDS):
+                if start.status is Status.INTERRUPTED:
+                    break
+                rounds += 1
+                t = normed_lengths(start, sigmas, weights)
+                new = np.asarray(now.weights(on_device(t)))
+                settled = np.abs(new - weights).max(initial=0.0) < SETTLED
+                start, weights = solve.quickly(_weighted(start.block, sigmas, new)), new
+                if settled:
+                    break
+        stopped = start.status is Status.INTERRUPTED
+        last = start if stopped else solve.fully(_weighted(start.block, sigmas, weights))
+    except KeyboardInterrupt:  # in a solve that accepted nothing: the one before it is kept
+        ended = on_device(int(Status.INTERRUPTED))
+        last, settled = eqx.tree_at(lambda a: a.iterations.status, start, ended), False
     reweighting = Reweighting(function.name, function.limit, rounds, on_device(weights), bool(settled))
     restored = eqx.tree_at(lambda b: b.rays.sigmas, last.block, block.rays.sigmas)
     return eqx.tree_at(
