@@ -141,8 +141,8 @@ def test_a_state_that_says_converged_is_not_believed(tmp_path: Path, monkeypatch
 
     monkeypatch.setattr(Keeper, "resumed", tampered)
     again = adjust(block, checkpoint=file, precision=False)
-    assert float(again.sigma0) == pytest.approx(float(whole.sigma0), rel=1e-6)
-    assert int(again.iterations.trials) > 1
+    assert float(again.sigma0) == pytest.approx(float(whole.sigma0), rel=1e-3)  # what is held has moved too
+    assert int(again.iterations.trials) >= int(whole.iterations.trials)
 
 
 def test_nothing_is_left_where_a_checkpoint_cannot_be_written(tmp_path: Path, monkeypatch) -> None:

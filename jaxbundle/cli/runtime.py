@@ -1,4 +1,4 @@
-"""JAX as the command line needs it: double precision, a device a core, and compiled programs kept for the next call."""
+"""JAX as the command line needs it: double precision, one device per core, compiled programs kept for the next call."""
 
 import atexit
 import os
@@ -12,8 +12,12 @@ import typer
 from jaxbundle.cli.cluster import AUTOMATIC, Cluster
 from jaxbundle.numerics import programs
 from jaxbundle.numerics.devices import meet
+from jaxbundle.numerics.private_folder import private_folder, trim
 
 MOST_DEVICES = 8  # each holds the reduced normal equations in full
+# bytes of compiled programs: a block of a new shape adds 1 to 10 MB, and every version of the program its own, so this
+# is room for some hundred; a program that was deleted is compiled again
+CACHE = 500_000_000
 MEETING, LOST, WRITING = 120, 60, 3600  # seconds: to wait for all processes, for a silent one, for the report
 
 
@@ -24,8 +28,13 @@ def start(cluster: Cluster | None = None, processes: int = 1) -> None:
     """
     jax.config.update("jax_enable_x64", True)
     jax.config.update("jax_num_cpu_devices", max(1, min(_cores() // processes, MOST_DEVICES)))
-    jax.config.update("jax_compilation_cache_dir", str(cache_folder()))
-    programs.keep_in(cache_folder() / "programs")
+    cache, private = cache_folder(), None
+    if cache is not None:
+        private = private_folder(cache)
+    if private is not None:  # else without: what lies there is run
+        trim(private, CACHE)
+        jax.config.update("jax_compilation_cache_dir", str(private))
+        programs.keep_in(private / "programs")
     jax.config.update("jax_persistent_cache_min_compile_time_secs", 0.0)
     jax.config.update("jax_persistent_cache_min_entry_size_bytes", -1)
     if cluster is not None:
@@ -78,10 +87,17 @@ def _end_at_once() -> None:
     os._exit(2)
 
 
-def cache_folder() -> Path:
-    """The user's cache folder by the XDG base directory specification, which ignores a path that is not absolute."""
+def cache_folder() -> Path | None:
+    """The user's cache folder by the XDG base directory specification, which ignores a path that is not absolute.
+
+    None for a user without a home.
+    """
     given = Path(os.environ.get("XDG_CACHE_HOME", ""))
-    return (given if given.is_absolute() else Path.home() / ".cache") / "jaxbundle"
+    try:
+        folder = given if given.is_absolute() else Path.home() / ".cache"
+    except RuntimeError:
+        return None
+    return folder / "jaxbundle" if folder.is_absolute() else None
 
 
 def _cores() -> int:

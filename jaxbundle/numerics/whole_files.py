@@ -43,17 +43,18 @@ def belongs_to_user(path: Path) -> bool:
         return False
 
 
-def write_whole(path: Path, write: Callable[[BinaryIO], object]) -> None:
+def write_whole(path: Path, write: Callable[[BinaryIO], object], mode: int = 0o666) -> None:
     """Writes a file beside its place, brings it to the disk and moves it to its place; removes it if that fails.
 
-    Raises: OSError where the place cannot be written.
+    `mode`: its permissions, less what the user's mask forbids. Raises: OSError where the place cannot be written.
     """
     for remnant in remnants(path.parent):
         if not remnant.is_dir():
             remnant.unlink(missing_ok=True)
     beside = path.parent / marked_name()
     try:
-        with beside.open("xb") as file:  # a new file: no link that another user has put there is followed
+        # a new file: no link that another user has put there is followed
+        with open(beside, "xb", opener=lambda name, flags: os.open(name, flags, mode)) as file:
             write(file)
             file.flush()
             os.fsync(file.fileno())

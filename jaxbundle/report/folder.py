@@ -2,7 +2,7 @@
 
 The new folder is written beside its place, in a hidden folder, and then the two exchange their names in one step of the
 file system. What does not belong to the results moves over from the old folder to the new one. A folder that cannot be
-renamed (a mount point, the current folder, a folder of another user) has its files replaced one by one, the report
+renamed (a mount point, the current folder, a folder of another user) has its files replaced one by one, report.json
 last; if that is interrupted, the next run completes it. So whatever is interrupted, at any moment, `tidy` puts in
 order, and it is called at the beginning and at the end of every replacement.
 
@@ -224,11 +224,14 @@ def _exchange(new: Path, place: Path) -> None:
 
 
 def _move_files(hidden: Path, place: Path, record: Record) -> None:
-    """Replaces the files of earlier results one by one; where this was interrupted it can be done once more."""
-    for name in (TEXT, DATA, *(name for name in record.files if name not in record.names)):
-        if name not in record.names or (hidden / _NEW / DATA).exists():
+    """Replaces the files of earlier results one by one; where this was interrupted it can be done once more.
+
+    report.json goes first and comes last: where it is, all the others belong to it.
+    """
+    for name in (DATA, TEXT, *(name for name in record.files if name not in record.names)):
+        if name not in record.names or (hidden / _NEW / name).exists():
             (place / name).unlink(missing_ok=True)
-    for name in sorted(record.names, key=lambda name: (name == TEXT, name == DATA)):
+    for name in sorted(record.names, key=lambda name: name == DATA):
         if (hidden / _NEW / name).exists():
             os.replace(hidden / _NEW / name, place / name)
     sync_folder(place)
