@@ -54,15 +54,10 @@ class Outcome(NamedTuple):
     problem: str = ""
 
 
-def run(path: Path, out: Path | None, wanted: Wanted) -> int:
+def run(path: Path, out: Path | None, wanted: Wanted, stop: Interruption) -> int:
     """Adjusts, writes and prints; the exit code. Of several processes the first one writes and prints."""
     folder, first = out or Path(f"{path.resolve().stem}-adjusted"), is_first_process()
-    try:
-        with Interruption() as stop:
-            outcome = adjust_path(path, folder, wanted, ProgressLines(quiet=not first), stop)
-    except KeyboardInterrupt:
-        typer.echo("jaxbundle: interrupted before any step was accepted: no results are written", err=True)
-        raise
+    outcome = adjust_path(path, folder, wanted, ProgressLines(quiet=not first), stop)
     if first:
         if outcome.problem:
             typer.echo(f"jaxbundle: {outcome.problem}", err=True)
@@ -142,10 +137,7 @@ def _adjusted(
     except RuntimeError as error:
         if jax.process_count() == 1:
             raise
-        first = (str(error).splitlines() or [""])[0]
-        raise LostProcess(
-            f"another process of the cluster was lost ({first}); see what it said, and start all of them again"
-        ) from error
+        raise LostProcess(error) from error
 
 
 def echo_result(adjustment: Adjustment) -> None:

@@ -27,7 +27,13 @@ class Code(IntEnum):
 
 
 class LostProcess(RuntimeError):
-    """Another process of the cluster has ended."""
+    """Another process of the cluster has ended; `error` is what JAX says of it."""
+
+    def __init__(self, error: RuntimeError):
+        super().__init__(
+            f"another process of the cluster was lost ({_first_line(error)}); see what it said, and start all of them"
+            " again (--checkpoint goes on from the last accepted step)"
+        )
 
 
 def told(error: Exception) -> tuple[Code, str]:
@@ -41,7 +47,6 @@ def told(error: Exception) -> tuple[Code, str]:
 
 def unexpected(error: Exception) -> str:
     """One sentence about an error of the program itself; the traceback is kept in a file."""
-    first = (str(error).splitlines() or [""])[0]
     trace = "".join(traceback.format_exception(error))
     text = f"jaxbundle {version('jaxbundle')}, {platform.platform()}\n{sys.argv}\n\n{trace}"
     try:
@@ -53,4 +58,8 @@ def unexpected(error: Exception) -> str:
     except OSError:
         sys.stderr.write(text)
         where = "the traceback above"
-    return f"an error of the program ({type(error).__name__}: {first}); please report it together with {where}"
+    return f"an error of the program ({type(error).__name__}: {_first_line(error)}); please report it together with {where}"
+
+
+def _first_line(error: Exception) -> str:
+    return (str(error).splitlines() or [""])[0]

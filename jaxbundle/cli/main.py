@@ -16,6 +16,7 @@ import typer
 
 from jaxbundle.cli import codes
 from jaxbundle.cli.cluster import Cluster, cluster_of
+from jaxbundle.cli.interruption import Interruption
 
 _SOLVER, _CLUSTER = "Solver", "Cluster"  # headings in the help
 _HELP = {"help_option_names": ["-h", "--help"]}
@@ -172,28 +173,36 @@ def adjust(
     cluster = cluster_of(coordinator, processes, process)
     if len(paths) > 1 and (checkpoint is not None or cluster is not None):
         raise typer.BadParameter("a --checkpoint and a cluster belong to one block; adjust the blocks one by one")
-    adjusting = _loaded("adjusting", cluster)
     if reduced == "pcg" and not no_precision:
         raise typer.BadParameter("--reduced pcg gives no standard deviations and needs --no-precision")
     if robust is not None and checkpoint is not None:
         raise typer.BadParameter("--robust solves many times and keeps no --checkpoint")
-    function = adjusting.weight_function(robust, robust_limit)
-    wanted = adjusting.Wanted(
-        method,
-        stop,
-        limit,
-        tuple(unknown or ()),
-        max_iterations,
-        engine,
-        reduced,
-        checkpoint,
-        function,
-        hold_interior,
-        not no_precision,
-    )
-    if len(paths) == 1:
-        raise typer.Exit(adjusting.run(paths[0], out, wanted))
-    raise typer.Exit(importlib.import_module("jaxbundle.cli.several").run(paths, out, wanted, jobs))
+    try:
+        with Interruption() as interruption:
+            adjusting = _loaded("adjusting", cluster)
+            function = adjusting.weight_function(robust, robust_limit)
+            wanted = adjusting.Wanted(
+                method,
+                stop,
+                limit,
+                tuple(unknown or ()),
+                max_iterations,
+                engine,
+                reduced,
+                checkpoint,
+                function,
+                hold_interior,
+                not no_precision,
+            )
+            if len(paths) == 1:
+                code = adjusting.run(paths[0], out, wanted, interruption)
+            else:
+                several = importlib.import_module("jaxbundle.cli.several")
+                code = several.run(paths, out, wanted, jobs, interruption)
+    except KeyboardInterrupt:
+        typer.echo("jaxbundle: interrupted before a step was accepted: no results are written", err=True)
+        code = codes.Code.INTERRUPTED
+    raise typer.Exit(code)
 
 
 @app.command()

@@ -3,6 +3,7 @@
 import atexit
 import os
 import sys
+from collections.abc import Callable
 from pathlib import Path
 from threading import Timer
 
@@ -10,6 +11,8 @@ import jax
 import typer
 
 from jaxbundle.cli.cluster import AUTOMATIC, Cluster
+from jaxbundle.cli.codes import Code, LostProcess
+from jaxbundle.cli.last_words import in_a_sentence
 from jaxbundle.numerics import programs
 from jaxbundle.numerics.devices import meet
 from jaxbundle.numerics.private_folder import private_folder, trim
@@ -61,8 +64,22 @@ def _join(cluster: Cluster) -> None:
         raise typer.BadParameter(f"--coordinator {cluster.coordinator}: no cluster ({error}); {cure}") from error
     finally:
         waiting.cancel()
-    meet()
-    atexit.register(_end_at_once)  # runs before JAX's own, which waits for the other processes
+    restored = in_a_sentence()
+    atexit.register(restored)
+    _require_count(cluster)
+    try:
+        meet()
+    except RuntimeError as error:
+        raise LostProcess(error) from error
+    atexit.register(_end_at_once, restored)  # runs before JAX's own, which waits for the other processes
+
+
+def _require_count(cluster: Cluster) -> None:
+    """Raises typer.BadParameter where process 0 was told another number of processes than this one."""
+    if cluster.processes is not None and jax.process_count() != cluster.processes:
+        raise typer.BadParameter(
+            f"--processes {cluster.processes} here, but process 0 was told {jax.process_count()}; give all the same"
+        )
 
 
 def _not_met(cluster: Cluster) -> None:
@@ -81,10 +98,11 @@ def finished() -> None:
     atexit.unregister(_end_at_once)
 
 
-def _end_at_once() -> None:
+def _end_at_once(before: Callable[[], None]) -> None:
     sys.stdout.flush()
     sys.stderr.flush()
-    os._exit(2)
+    before()
+    os._exit(Code.BAD_INPUT)
 
 
 def cache_folder() -> Path | None:

@@ -53,7 +53,7 @@ class Done(NamedTuple):
     problem: str = ""
 
 
-def run(paths: Sequence[Path], out: Path | None, wanted: Wanted, jobs: int) -> int:
+def run(paths: Sequence[Path], out: Path | None, wanted: Wanted, jobs: int, stop: Interruption) -> int:
     """Adjusts all, writes and prints; the worst exit code."""
     folder = out or OUT
     _require_place(folder)
@@ -61,20 +61,18 @@ def run(paths: Sequence[Path], out: Path | None, wanted: Wanted, jobs: int) -> i
     not_yet = "it was interrupted before this block was adjusted; run it again"
     done = {task.name: Done(Row(task.name, NOT_ADJUSTED, problem=not_yet), Code.INTERRUPTED) for task in tasks}
     lines = ProgressLines()
-    with Interruption() as stop:
-        try:
-            with lines.phase(f"adjusting {len(tasks)} blocks"):
-                for task, result in (
-                    _in_turn(tasks, wanted, stop) if jobs == 1 else _in_processes(tasks, wanted, jobs, stop)
-                ):
-                    done[task.name] = result
-                    if result.problem:
-                        typer.echo(f"jaxbundle: {task.path}: {result.problem}", err=True)
-        except KeyboardInterrupt:
-            pass
-        stop.finish()
-        code = max(result.code for result in done.values())
-        return max(code, _written(folder, tasks, [done[task.name].row for task in tasks]))
+    results = _in_turn(tasks, wanted, stop) if jobs == 1 else _in_processes(tasks, wanted, jobs, stop)
+    try:
+        with lines.phase(f"adjusting {len(tasks)} blocks"):
+            for task, result in results:
+                done[task.name] = result
+                if result.problem:
+                    typer.echo(f"jaxbundle: {task.path}: {result.problem}", err=True)
+    except KeyboardInterrupt:
+        pass
+    stop.finish()
+    code = max(result.code for result in done.values())
+    return max(code, _written(folder, tasks, [done[task.name].row for task in tasks]))
 
 
 def _written(folder: Path, tasks: Sequence[Task], rows: Sequence[Row]) -> Code:
