@@ -13,6 +13,8 @@ import equinox as eqx
 import pytest
 
 from jaxbundle.cli import main, runtime, several
+from jaxbundle.cli.adjusting import Outcome
+from jaxbundle.cli.codes import Code
 from jaxbundle.io import write_block_folder
 from jaxbundle.planning.simulate import simulate
 from jaxbundle.solve.adjust import adjust
@@ -94,7 +96,7 @@ def test_no_place_for_results(run, blocks):
     folder.mkdir()
     (folder / "adjustments.csv").write_text("mine")
     code, out, err = run("a/strip", "b/strip", "--out", folder)
-    assert (code, out) == (2, "") and "is no table of adjustments; give another folder" in err
+    assert (code, out) == (2, "") and "is not a table of adjustments; give another folder" in err
     code, out, err = run("a/strip", "b/strip", "--out", folder / "adjustments.csv")
     assert (code, out) == (2, "") and "is a file; give a folder" in err
 
@@ -128,10 +130,10 @@ def test_interrupted_block_ends_those_after_it(run, blocks, monkeypatch):
     stopped = eqx.tree_at(
         lambda a: a.iterations.status, adjustment, adjustment.iterations.status * 0 + Status.INTERRUPTED
     )
-    monkeypatch.setattr(several, "adjust_path", lambda *_: stopped)
+    monkeypatch.setattr(several, "adjust_path", lambda *_: Outcome(stopped, None, Code.NOT_TRUSTED))
     code, _, _ = run("a/strip", "b/strip", "--out", "interrupted")
     table = rows(blocks / "interrupted")
-    assert code == 1 and [row["status"] for row in table.values()] == ["interrupted", "not adjusted"]
+    assert code == 130 and [row["status"] for row in table.values()] == ["interrupted", "not adjusted"]
     assert "run it again" in table["strip-2"]["problem"]
 
 
@@ -158,7 +160,8 @@ def test_ctrl_c_ends_the_workers(blocks, tmp_path, how):
     time.sleep(1.0)
     process.send_signal(how)
     out, err = process.communicate(timeout=120)
-    assert process.returncode == 1 and b"Traceback" not in err
+    assert process.returncode == 130 and b"Traceback" not in err
+    assert err.count(b"Ctrl-C again ends at once") == 1
     assert out.count(b"not adjusted") == 2
     time.sleep(1.0)  # the tracker ends when it finds itself alone
     assert not [pid for pid in workers if runs(pid)]

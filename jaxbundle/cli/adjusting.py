@@ -1,26 +1,30 @@
 """`jaxbundle adjust`: a path in, summary and findings to standard output, a folder of results."""
 
 import math
+from collections.abc import Callable
 from pathlib import Path
 from typing import NamedTuple
 
+import jax
 import typer
 
 from jaxbundle.block.block import Block
 from jaxbundle.block.changes import with_interior_held
 from jaxbundle.block.findings import Severity
 from jaxbundle.block.problems import BlockError
-from jaxbundle.cli.progress import ProgressLines
+from jaxbundle.cli.codes import Code, LostProcess, told
+from jaxbundle.cli.interruption import Interruption
+from jaxbundle.cli.progress import COMPILING, ProgressLines
 from jaxbundle.cli.runtime import finished
 from jaxbundle.diagnosis.adjusted import findings
 from jaxbundle.io import read
 from jaxbundle.normals.reduced_plan import Method
 from jaxbundle.numerics.devices import is_first_process
 from jaxbundle.report.columns import wrapped
-from jaxbundle.report.files import require_place, write_report
-from jaxbundle.solve.adjust import adjust
+from jaxbundle.report.files import require_place, rescue, write_report
+from jaxbundle.solve.adjust import Progress, adjust
 from jaxbundle.solve.adjustment import Adjustment
-from jaxbundle.solve.checkpoint import CheckpointError
+from jaxbundle.solve.checkpoint import CheckpointError, ClusterError
 from jaxbundle.solve.robust import WEIGHT_FUNCTIONS, AbstractWeightFunction
 from jaxbundle.solve.stopping import AbstractStoppingRule, AngleRule, PointRule, parallax_rule, unknown_rule
 
@@ -41,34 +45,76 @@ class Wanted(NamedTuple):
     precision: bool
 
 
-def run(path: Path, out: Path | None, wanted: Wanted) -> int:
+class Outcome(NamedTuple):
+    """What became of a block: its adjustment, the folder that its results are in, and what kept them from `folder`."""
+
+    adjustment: Adjustment
+    folder: Path | None
+    code: Code
+    problem: str = ""
+
+
+def run(path: Path, out: Path | None, wanted: Wanted, stop: Interruption) -> int:
     """Adjusts, writes and prints; the exit code. Of several processes the first one writes and prints."""
     folder, first = out or Path(f"{path.resolve().stem}-adjusted"), is_first_process()
-    adjustment = adjust_path(path, folder, wanted, ProgressLines(quiet=not first), first)
+    outcome = adjust_path(path, folder, wanted, ProgressLines(quiet=not first), stop)
     if first:
-        echo_result(adjustment)
-        typer.echo(f"Results: {folder}")
+        if outcome.problem:
+            typer.echo(f"jaxbundle: {outcome.problem}", err=True)
+        echo_result(outcome.adjustment)
+        typer.echo(f"Results: {outcome.folder or 'not written'}")
     finished()
-    return 0 if adjustment.trustworthy else 1
+    return outcome.code
 
 
-def adjust_path(path: Path, folder: Path, wanted: Wanted, lines: ProgressLines, writes: bool = True) -> Adjustment:
-    """Reads, adjusts and, if this process `writes`, writes."""
-    with lines.phase("reading ..."):
+def adjust_path(path: Path, folder: Path, wanted: Wanted, lines: ProgressLines, stop: Interruption) -> Outcome:
+    """Reads, adjusts and, in the first process, writes.
+
+    Raises: BlockError or OSError for bad input; KeyboardInterrupt before the first accepted step.
+    """
+    stop.begin()
+    with lines.phase("reading"):
         block = read(path)
     block = with_interior_held(block) if wanted.hold_interior else block
     rule = stopping_rule(block, wanted)
-    if writes:
+    if is_first_process():
         require_place(folder, block, wanted.robust is not None)  # before the work, not after it
-    with lines.phase("adjusting"):
-        adjustment = _adjusted(block, wanted, rule, lines)
-    if writes:
-        with lines.phase("writing"):
-            write_report(adjustment, folder)
-    return adjustment
+    stop.check()
+
+    def progress(iteration: Progress) -> None:
+        lines.iteration(iteration)
+        stop.step(iteration.accepted)
+
+    with lines.phase(COMPILING):
+        adjustment = _adjusted(block, wanted, rule, progress)
+    stop.finish()
+    code = Code.ADJUSTED if adjustment.trustworthy else Code.NOT_TRUSTED
+    if not is_first_process():
+        return Outcome(adjustment, None, code)
+    with lines.phase("writing"):
+        return _written(Outcome(adjustment, folder, code))
 
 
-def _adjusted(block: Block, wanted: Wanted, rule: AbstractStoppingRule, lines: ProgressLines) -> Adjustment:
+def _written(outcome: Outcome) -> Outcome:
+    """Writes the results; if they cannot be written to their folder, to a temporary one."""
+    assert outcome.folder is not None
+    try:
+        write_report(outcome.adjustment, outcome.folder)
+        return outcome
+    except OSError as error:
+        code, problem = Code.NOT_WRITTEN, str(error)
+    except Exception as error:  # of the report: the adjustment itself is there
+        code, problem = Code.UNEXPECTED, told(error)[1]
+    try:
+        kept = rescue(outcome.adjustment)
+    except OSError as error:
+        return outcome._replace(folder=None, code=code, problem=f"{problem}; nor is there another place: {error}")
+    return outcome._replace(folder=kept, code=code, problem=f"{problem}; the results are kept in {kept}")
+
+
+def _adjusted(
+    block: Block, wanted: Wanted, rule: AbstractStoppingRule, progress: Callable[[Progress], None]
+) -> Adjustment:
     try:
         return adjust(
             block,
@@ -80,14 +126,18 @@ def _adjusted(block: Block, wanted: Wanted, rule: AbstractStoppingRule, lines: P
             reduced=wanted.reduced,
             checkpoint=wanted.checkpoint,
             robust=wanted.robust,
-            progress=lines.iteration,
+            progress=progress,
         )
-    except CheckpointError as error:
+    except (CheckpointError, ClusterError) as error:
         raise typer.BadParameter(str(error)) from error
     except ValueError as error:
         if isinstance(error, BlockError) or wanted.engine == "block":
             raise
         raise typer.BadParameter(str(error)) from error  # the second opinion takes small blocks only
+    except RuntimeError as error:
+        if jax.process_count() == 1:
+            raise
+        raise LostProcess(error) from error
 
 
 def echo_result(adjustment: Adjustment) -> None:

@@ -1,14 +1,19 @@
-"""Progress on a terminal: what is being done, and one line an iteration. A pipe or a file gets nothing."""
+"""Progress on a terminal: what is being done, and one line per iteration. A pipe or a file gets nothing."""
 
+import math
 import time
 from collections.abc import Iterator
 from contextlib import contextmanager
 
 from rich.console import Console
+from rich.status import Status
 
 from jaxbundle.solve.adjust import Progress
 
 HEADER = f"{'iteration':>9}  {'cost':>14}  {'lambda':>8}  {'|Jd|/|v|':>8}  {'sigma0':>10}  {'s':>6}"
+
+COMPILING = "compiling (the first time takes up to a minute)"
+_ADJUSTING = "adjusting"
 
 
 class ProgressLines:
@@ -17,14 +22,16 @@ class ProgressLines:
     def __init__(self, quiet: bool = False) -> None:
         self._console = Console(stderr=True, highlight=False, quiet=quiet)
         self._last = 0.0
+        self._status: Status | None = None
 
     @contextmanager
     def phase(self, what: str) -> Iterator[None]:
         """Shows what is being done for as long as it takes."""
         self._last = time.perf_counter()
         if self._console.is_terminal:
-            with self._console.status(what, spinner="line"):
+            with self._console.status(what, spinner="line") as self._status:
                 yield
+            self._status = None
         else:
             yield
 
@@ -35,8 +42,16 @@ class ProgressLines:
         now = time.perf_counter()
         if progress.iteration == 1:
             self._console.print(HEADER, style="bold")
+        if self._status is not None:
+            self._status.update(_ADJUSTING)
         self._console.print(
-            f"{progress.iteration:>9}  {progress.cost:>14.8g}  {progress.damping:>8.1e}  {progress.step:>8.1e}"
-            f"  {progress.sigma0:>10.6g}  {now - self._last:>6.2f}{'' if progress.accepted else '  rejected'}"
+            f"{progress.iteration:>9}  {_known(progress.cost, '.8g'):>14}  {_known(progress.damping, '.1e'):>8}"
+            f"  {_known(progress.step, '.1e'):>8}  {_known(progress.sigma0, '.6g'):>10}  {now - self._last:>6.2f}"
+            f"{'' if progress.accepted else '  rejected'}"
         )
         self._last = now
+
+
+def _known(value: float, form: str) -> str:
+    """A number, "-" for what is not one."""
+    return "-" if math.isnan(value) else format(value, form)

@@ -1,8 +1,9 @@
-"""JAX as the command line needs it: double precision, a device a core, and compiled programs kept for the next call."""
+"""JAX as the command line needs it: double precision, one device per core, compiled programs kept for the next call."""
 
 import atexit
 import os
 import sys
+from collections.abc import Callable
 from pathlib import Path
 from threading import Timer
 
@@ -10,10 +11,16 @@ import jax
 import typer
 
 from jaxbundle.cli.cluster import AUTOMATIC, Cluster
+from jaxbundle.cli.codes import Code, LostProcess
+from jaxbundle.cli.last_words import in_a_sentence
 from jaxbundle.numerics import programs
 from jaxbundle.numerics.devices import meet
+from jaxbundle.numerics.private_folder import private_folder, trim
 
 MOST_DEVICES = 8  # each holds the reduced normal equations in full
+# bytes of compiled programs: a block of a new shape adds 1 to 10 MB, and every version of the program its own, so this
+# is room for some hundred; a program that was deleted is compiled again
+CACHE = 500_000_000
 MEETING, LOST, WRITING = 120, 60, 3600  # seconds: to wait for all processes, for a silent one, for the report
 
 
@@ -24,8 +31,13 @@ def start(cluster: Cluster | None = None, processes: int = 1) -> None:
     """
     jax.config.update("jax_enable_x64", True)
     jax.config.update("jax_num_cpu_devices", max(1, min(_cores() // processes, MOST_DEVICES)))
-    jax.config.update("jax_compilation_cache_dir", str(cache_folder()))
-    programs.keep_in(cache_folder() / "programs")
+    cache, private = cache_folder(), None
+    if cache is not None:
+        private = private_folder(cache)
+    if private is not None:  # else without: what lies there is run
+        trim(private, CACHE)
+        jax.config.update("jax_compilation_cache_dir", str(private))
+        programs.keep_in(private / "programs")
     jax.config.update("jax_persistent_cache_min_compile_time_secs", 0.0)
     jax.config.update("jax_persistent_cache_min_entry_size_bytes", -1)
     if cluster is not None:
@@ -52,8 +64,22 @@ def _join(cluster: Cluster) -> None:
         raise typer.BadParameter(f"--coordinator {cluster.coordinator}: no cluster ({error}); {cure}") from error
     finally:
         waiting.cancel()
-    meet()
-    atexit.register(_end_at_once)  # runs before JAX's own, which waits for the other processes
+    restored = in_a_sentence()
+    atexit.register(restored)
+    _require_count(cluster)
+    try:
+        meet()
+    except RuntimeError as error:
+        raise LostProcess(error) from error
+    atexit.register(_end_at_once, restored)  # runs before JAX's own, which waits for the other processes
+
+
+def _require_count(cluster: Cluster) -> None:
+    """Raises typer.BadParameter where process 0 was told another number of processes than this one."""
+    if cluster.processes is not None and jax.process_count() != cluster.processes:
+        raise typer.BadParameter(
+            f"--processes {cluster.processes} here, but process 0 was told {jax.process_count()}; give all the same"
+        )
 
 
 def _not_met(cluster: Cluster) -> None:
@@ -72,16 +98,24 @@ def finished() -> None:
     atexit.unregister(_end_at_once)
 
 
-def _end_at_once() -> None:
+def _end_at_once(before: Callable[[], None]) -> None:
     sys.stdout.flush()
     sys.stderr.flush()
-    os._exit(2)
+    before()
+    os._exit(Code.BAD_INPUT)
 
 
-def cache_folder() -> Path:
-    """The user's cache folder by the XDG base directory specification, which ignores a path that is not absolute."""
+def cache_folder() -> Path | None:
+    """The user's cache folder by the XDG base directory specification, which ignores a path that is not absolute.
+
+    None for a user without a home.
+    """
     given = Path(os.environ.get("XDG_CACHE_HOME", ""))
-    return (given if given.is_absolute() else Path.home() / ".cache") / "jaxbundle"
+    try:
+        folder = given if given.is_absolute() else Path.home() / ".cache"
+    except RuntimeError:
+        return None
+    return folder / "jaxbundle" if folder.is_absolute() else None
 
 
 def _cores() -> int:

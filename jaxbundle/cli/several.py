@@ -9,26 +9,29 @@ import multiprocessing.connection
 import os
 import signal
 import sys
-import tempfile
 import time
 from collections.abc import Iterator, Sequence
 from concurrent.futures import FIRST_COMPLETED, Future, ProcessPoolExecutor, wait
 from concurrent.futures.process import BrokenProcessPool
 from pathlib import Path
-from typing import NamedTuple
+from typing import Any, NamedTuple
 
 import numpy as np
 import typer
 
-from jaxbundle.block.problems import BlockError
 from jaxbundle.cli import runtime
 from jaxbundle.cli.adjusting import Wanted, adjust_path
+from jaxbundle.cli.codes import Code, told
+from jaxbundle.cli.interruption import Interruption
 from jaxbundle.cli.progress import ProgressLines
 from jaxbundle.io.tables import write_table
+from jaxbundle.numerics.whole_files import marked_name, sync_file
+from jaxbundle.report.folder import require_writable
 from jaxbundle.solve.adjustment import Status
 from jaxbundle.solve.batch import Row, failed_row, row_of, table_lines, unique
 
 TABLE, OUT = "adjustments.csv", Path("adjustments")
+HEADER = b"name,path,status,"  # the beginning of such a table
 NOT_ADJUSTED = "not adjusted"
 LISTENING = 0.2  # seconds
 GRACE = 2.0  # seconds in which a worker may put away what it was writing; the compiler does not listen
@@ -43,34 +46,47 @@ class Task(NamedTuple):
 
 
 class Done(NamedTuple):
-    """A row of the table and what the path alone would have as exit code."""
+    """A row of the table, the exit code that the path alone would have, and what is said beside the table."""
 
     row: Row
     code: int
+    problem: str = ""
 
 
-def run(paths: Sequence[Path], out: Path | None, wanted: Wanted, jobs: int) -> int:
+def run(paths: Sequence[Path], out: Path | None, wanted: Wanted, jobs: int, stop: Interruption) -> int:
     """Adjusts all, writes and prints; the worst exit code."""
     folder = out or OUT
     _require_place(folder)
     tasks = named(paths, folder)
     not_yet = "it was interrupted before this block was adjusted; run it again"
-    done = {task.name: Done(Row(task.name, NOT_ADJUSTED, problem=not_yet), 1) for task in tasks}
+    done = {task.name: Done(Row(task.name, NOT_ADJUSTED, problem=not_yet), Code.INTERRUPTED) for task in tasks}
     lines = ProgressLines()
+    results = _in_turn(tasks, wanted, stop) if jobs == 1 else _in_processes(tasks, wanted, jobs, stop)
     try:
         with lines.phase(f"adjusting {len(tasks)} blocks"):
-            for task, result in _in_turn(tasks, wanted) if jobs == 1 else _in_processes(tasks, wanted, jobs):
+            for task, result in results:
                 done[task.name] = result
-                if result.code == 2:
-                    typer.echo(f"jaxbundle: {task.path}: {result.row.problem}", err=True)
+                if result.problem:
+                    typer.echo(f"jaxbundle: {task.path}: {result.problem}", err=True)
     except KeyboardInterrupt:
         pass
-    rows = [done[task.name].row for task in tasks]
-    folder.mkdir(parents=True, exist_ok=True)
-    _write(folder / TABLE, tasks, rows)
+    stop.finish()
+    code = max(result.code for result in done.values())
+    return max(code, _written(folder, tasks, [done[task.name].row for task in tasks]))
+
+
+def _written(folder: Path, tasks: Sequence[Task], rows: Sequence[Row]) -> Code:
+    """Writes and prints the table of all."""
+    try:
+        folder.mkdir(parents=True, exist_ok=True)
+        _write(folder / TABLE, tasks, rows)
+        code = Code.ADJUSTED
+    except OSError as error:
+        typer.echo(f"jaxbundle: {folder / TABLE} cannot be written: {error}", err=True)
+        code = Code.NOT_WRITTEN
     typer.echo("\n".join(table_lines(rows)))
     typer.echo(f"Results: {folder}")
-    return max(result.code for result in done.values())
+    return code
 
 
 def named(paths: Sequence[Path], folder: Path) -> list[Task]:
@@ -83,41 +99,50 @@ def named(paths: Sequence[Path], folder: Path) -> list[Task]:
     return tasks
 
 
-def adjusted(task: Task, wanted: Wanted) -> Done:
+def adjusted(task: Task, wanted: Wanted, stop: Interruption | None = None) -> Done:
     """One path, whatever is wrong with it."""
     start = time.perf_counter()
     try:
-        adjustment = adjust_path(task.path, task.folder, wanted, ProgressLines(quiet=True))
-    except (BlockError, OSError, typer.BadParameter) as error:
-        return Done(failed_row(task.name, error, time.perf_counter() - start), 2)
-    return Done(row_of(task.name, adjustment, time.perf_counter() - start), 0 if adjustment.trustworthy else 1)
+        outcome = adjust_path(task.path, task.folder, wanted, ProgressLines(quiet=True), stop or Interruption())
+    except typer.BadParameter as error:
+        return Done(failed_row(task.name, error, time.perf_counter() - start), Code.BAD_INPUT, str(error))
+    except Exception as error:
+        code, words = told(error)
+        seconds = time.perf_counter() - start
+        if code is Code.BAD_INPUT:
+            return Done(failed_row(task.name, error, seconds), code, words)
+        return Done(Row(task.name, NOT_ADJUSTED, seconds=seconds, problem=words), code, words)
+    row = row_of(task.name, outcome.adjustment, time.perf_counter() - start)
+    problems = [problem for problem in (outcome.problem, row.problem) if problem]
+    return Done(row._replace(problem="; ".join(problems)), outcome.code, outcome.problem)
 
 
-def _in_turn(tasks: Sequence[Task], wanted: Wanted) -> Iterator[tuple[Task, Done]]:
+def _in_turn(tasks: Sequence[Task], wanted: Wanted, stop: Interruption) -> Iterator[tuple[Task, Done]]:
     """One after the other, up to one that is interrupted."""
     for task in tasks:
-        result = adjusted(task, wanted)
+        result = adjusted(task, wanted, stop)
         yield task, result
-        if result.row.status == Status.INTERRUPTED.name.lower():
+        if result.row.status == Status.INTERRUPTED.name.lower() or stop.wanted:
             return
 
 
-def _in_processes(tasks: Sequence[Task], wanted: Wanted, jobs: int) -> Iterator[tuple[Task, Done]]:
+def _in_processes(tasks: Sequence[Task], wanted: Wanted, jobs: int, stop: Interruption) -> Iterator[tuple[Task, Done]]:
     """By workers, as they finish."""
     jobs = min(jobs, len(tasks))
-    signal.signal(signal.SIGTERM, signal.default_int_handler)  # or the workers would outlive their parent
     spawn = multiprocessing.get_context("spawn")  # a fork would share threads of JAX
     with ProcessPoolExecutor(jobs, spawn, _set_up, (jobs,)) as pool:
+        stop.before_the_end = lambda: _kill(pool)  # or the workers would outlive their parent
         try:
             futures: dict[Future[Done], Task] = {pool.submit(adjusted, task, wanted): task for task in tasks}
             while futures:
                 # not for ever at once: a signal that another thread receives does not wake one that waits
                 finished, _ = wait(futures, LISTENING, FIRST_COMPLETED)
+                stop.check()
                 for future in finished:
                     task = futures.pop(future)
                     yield task, _result(future, task)
         except BaseException:
-            workers = list((pool._processes or {}).values())  # a public way comes with Python 3.14
+            workers = _workers(pool)
             pool.shutdown(wait=False, cancel_futures=True)
             for worker in workers:
                 worker.terminate()
@@ -127,12 +152,21 @@ def _in_processes(tasks: Sequence[Task], wanted: Wanted, jobs: int) -> Iterator[
             raise
 
 
+def _workers(pool: ProcessPoolExecutor) -> list[Any]:
+    return list((pool._processes or {}).values())  # a public way comes with Python 3.14
+
+
+def _kill(pool: ProcessPoolExecutor) -> None:
+    for worker in _workers(pool):
+        worker.kill()
+
+
 def _result(future: Future[Done], task: Task) -> Done:
     try:
         return future.result()
     except BrokenProcessPool:
         what = "a process ended before its time, perhaps for want of memory; run it again with fewer --jobs"
-        return Done(Row(task.name, NOT_ADJUSTED, problem=what), 1)
+        return Done(Row(task.name, NOT_ADJUSTED, problem=what), Code.UNEXPECTED, what)
 
 
 def _set_up(jobs: int) -> None:
@@ -143,12 +177,19 @@ def _set_up(jobs: int) -> None:
 
 
 def _require_place(folder: Path) -> None:
-    """Raises FileExistsError where the table would overwrite what is no such table."""
-    if folder.exists() and not folder.is_dir():
-        raise FileExistsError(f"{folder} is a file; give a folder for the results")
+    """Raises an OSError where the table cannot be written, or would overwrite what is not such a table."""
+    require_writable(folder, [], 0)
     table = folder / TABLE
-    if table.exists() and not table.read_text(encoding="utf-8").startswith("name,path,status,"):
-        raise FileExistsError(f"{table} is no table of adjustments; give another folder for the results")
+    if os.path.lexists(table) and not _is_table(table):
+        raise FileExistsError(f"{table} is not a table of adjustments; give another folder for the results (--out)")
+
+
+def _is_table(path: Path) -> bool:
+    try:
+        with path.open("rb") as file:
+            return file.read(len(HEADER)) == HEADER
+    except OSError:
+        return False
 
 
 def _write(file: Path, tasks: Sequence[Task], rows: Sequence[Row]) -> None:
@@ -158,9 +199,10 @@ def _write(file: Path, tasks: Sequence[Task], rows: Sequence[Row]) -> None:
         return ["" if value is None else " ".join(str(value).split()) for value in values]
 
     columns = dict(zip(Row._fields, map(list, zip(*rows, strict=True)), strict=True))
-    with tempfile.TemporaryDirectory(prefix=".jaxbundle-", dir=file.parent) as temporary:
+    beside = file.with_name(marked_name())
+    try:
         write_table(
-            Path(temporary) / TABLE,
+            beside,
             {
                 "name": texts(columns.pop("name")),
                 "path": texts([task.path for task in tasks]),
@@ -169,4 +211,7 @@ def _write(file: Path, tasks: Sequence[Task], rows: Sequence[Row]) -> None:
                 "seconds": np.array(columns["seconds"]),
             },
         )
-        os.replace(Path(temporary) / TABLE, file)
+        sync_file(beside)
+        os.replace(beside, file)
+    finally:
+        beside.unlink(missing_ok=True)

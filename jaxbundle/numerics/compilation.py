@@ -74,7 +74,7 @@ class Compiled:
             described = jax.tree.unflatten(structure, range(len(static)))
             name = programs.program_name(self.function, (described, static), arrays, options)
             file = folder / name if name else None
-        program = programs.load(file) if file else None
+        program = programs.load(file, arrays) if file else None
         if program is not None:
             return program
         value = []
@@ -91,5 +91,5 @@ class Compiled:
             on_leaves.__name__ = f"{self.function.__name__}_{uuid4().hex}"
         compiled = jax.jit(on_leaves, compiler_options=options).lower(*arrays).compile()
         if file:
-            programs.keep(file, compiled, len(arrays), value[0])
+            programs.keep(file, compiled, arrays, value[0])
         return programs.Program(compiled, value[0])

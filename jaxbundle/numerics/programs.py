@@ -3,15 +3,18 @@
 A program is known by everything it was made of: the function, the static parts of its arguments, shapes, types and
 placement of the arrays, the sources of this package, the versions of JAX and its kin, and the machine. A function or a
 class from elsewhere (a user's camera model) has sources that are not looked at: a program with such a part is not kept.
+
+A file is a line of JSON, which says what the program is made for, and the program itself. As a program runs, it is read
+from a file of the user only that nobody else may write to.
 """
 
 import hashlib
 import io
+import json
 import os
 import pickle
 import platform
 import sys
-import tempfile
 import zlib
 from collections.abc import Callable, Sequence
 from functools import cache
@@ -24,7 +27,11 @@ import jax
 from jax import Array
 from jax.experimental import serialize_executable
 
+from jaxbundle.numerics.private_folder import private_folder, read_private
+from jaxbundle.numerics.whole_files import write_whole
+
 PACKAGE = Path(__file__).parent.parent
+LARGEST = 256_000_000  # bytes in memory; the largest program of a block of 1200 images takes a tenth
 VERSIONED = ("jax", "jaxlib", "equinox", "optimistix", "lineax", "numpy")
 
 
@@ -54,8 +61,9 @@ _kept_in: list[Path] = []  # at most one
 
 
 def keep_in(path: Path) -> None:
-    """Keeps the programs of this process in a folder from now on."""
-    _kept_in[:] = [path]
+    """Keeps the programs of this process in a folder from now on, if it is the user's alone; else they are not kept."""
+    private = private_folder(path)
+    _kept_in[:] = [] if private is None else [private]
 
 
 def folder() -> Path | None:
@@ -96,32 +104,65 @@ def program_name(function: FunctionType, static: Any, arrays: Any, options: Any)
     return hashlib.sha256(file.getvalue()).hexdigest()
 
 
-def load(file: Path) -> Program | None:
-    """A program that was kept; None where there is none, or none that this machine can read."""
+def load(file: Path, arrays: Sequence[Array]) -> Program | None:
+    """A program that was kept for such arrays; None where there is none, or none that this machine can read."""
+    data = read_private(file)
+    if data is None:
+        return None
     try:
-        executable, leaves, devices, value = pickle.loads(zlib.decompress(file.read_bytes()))
-        in_tree = jax.tree.structure((tuple(range(leaves)), {}))
+        head, _, body = data.partition(b"\n")
+        header = json.loads(head)
+        digest = header.pop("digest")
+        if header != _header(file, arrays, header["devices"], header["size"]) or digest != _digest(header, body):
+            return None
+        executable, value = pickle.loads(_decompressed(body, header["size"]))
+        in_tree = jax.tree.structure((tuple(range(len(arrays))), {}))
         out_tree = jax.tree.structure(list(range(len(jax.tree.leaves(value)))))
         call = serialize_executable.deserialize_and_load(
-            executable, in_tree, out_tree, execution_devices=jax.devices()[:devices]
+            executable, in_tree, out_tree, execution_devices=jax.devices()[: header["devices"]]
         )
+        os.utime(file)  # used now: the last to be deleted
     except Exception:  # whatever is wrong with the file, the program can be made again
         return None
     return Program(call, value)
 
 
-def keep(file: Path, compiled: jax.stages.Compiled, leaves: int, value: Any) -> None:
-    """Keeps a program of so many leaves, if it can be; a reader sees a whole file or none."""
+def keep(file: Path, compiled: jax.stages.Compiled, arrays: Sequence[Array], value: Any) -> None:
+    """Keeps a program for such arrays, if it can be; a reader sees a whole file or none."""
     if "lapack" in (compiled.as_text() or ""):
         return  # JAX prepares LAPACK when it lowers a call: in a process that only loads the program it would crash
     shardings = jax.tree.leaves(compiled.input_shardings)  # None for a leaf that is not used
     devices = max((len(sharding.device_set) for sharding in shardings), default=1)
     try:
         executable, _, _ = serialize_executable.serialize(compiled)
-        data = zlib.compress(pickle.dumps((executable, leaves, devices, value)), 1)
-        file.parent.mkdir(parents=True, exist_ok=True)
-        with tempfile.NamedTemporaryFile(dir=file.parent, delete=False) as temporary:
-            temporary.write(data)
-        os.replace(temporary.name, file)
+        whole = pickle.dumps((executable, value))
+        body, header = zlib.compress(whole, 1), _header(file, arrays, devices, len(whole))
+        head = json.dumps({**header, "digest": _digest(header, body)}).encode()
+        if len(whole) <= LARGEST and private_folder(file.parent) is not None:
+            write_whole(file, lambda stream: stream.write(head + b"\n" + body), mode=0o600)
     except (OSError, ValueError, NotImplementedError, pickle.PicklingError, AttributeError, TypeError):
         return  # a full disk or a program that has no form on disk: the next process compiles again
+
+
+def _header(file: Path, arrays: Sequence[Array], devices: int, size: int) -> dict[str, Any]:
+    """What a program is made for; `size`: its bytes before compression."""
+    described = [[list(array.shape), str(array.dtype)] for array in arrays]
+    return {"name": file.name, "arrays": described, "devices": devices, "size": size}
+
+
+def _digest(header: dict[str, Any], body: bytes) -> str:
+    return hashlib.sha256(json.dumps(header, sort_keys=True).encode() + body).hexdigest()
+
+
+def _decompressed(body: bytes, size: int) -> bytes:
+    """The program's bytes, of which there must be as many as its header says.
+
+    Raises: ValueError otherwise.
+    """
+    if not 0 < size <= LARGEST:
+        raise ValueError("too large")
+    stream = zlib.decompressobj()
+    whole = stream.decompress(body, size)
+    if len(whole) != size or not stream.eof and stream.decompress(stream.unconsumed_tail, 1):
+        raise ValueError("not of its size")
+    return whole

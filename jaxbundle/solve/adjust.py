@@ -85,10 +85,12 @@ def adjust(
     accepted iteration; where it exists the solve goes on from it. `robust`: a weight function for gross errors in the
     rays, as Huber(); its weights are kept in `reweighting`. `derivatives` of the minimum, under grad, jacfwd or jacrev:
     "exact", or by "gauss-newton" without the second derivatives of the observations. `progress` is called after every
-    iteration. Ctrl-C ends the iterations and keeps the last accepted unknowns.
+    iteration. Ctrl-C, or a KeyboardInterrupt of `progress`, ends the iterations and keeps the last accepted unknowns,
+    without standard deviations.
 
     Raises: TypeError for what is not a Block; BlockError with all problems of the block; CheckpointError for a
-    checkpoint of another block; ValueError for an unknown name or without float64.
+    checkpoint of another block; ValueError for an unknown name or without float64; KeyboardInterrupt where that came
+    before the first accepted step.
     """
     require_a(Block, block, "adjust")
     require_options(method, engine, precision, reduced, derivatives)
@@ -151,7 +153,9 @@ def _least_squares(block: Block, wanted: _Wanted, precision: bool, checkpoint: P
     run = _Run(centred, plan, Arguments(problem(plan, centred), wanted.rule.arranged(plan.order)), optimised, wanted)
     arranged, iterations = _solved(run, checkpoint)
     given = run.args.problem
-    if not block.concrete:
+    if block.concrete:  # an interruption is answered at once
+        precision = precision and int(iterations.status) != Status.INTERRUPTED
+    else:
         centred = block.moved(-origin)
         given, start = problem(plan, centred), arranged_unknowns(plan, unknowns_of(centred))
         converged = iterations.status == Status.CONVERGED
@@ -228,6 +232,7 @@ def _step_by_step(run: _Run, keeper: Keeper | None) -> tuple[Arranged, Iteration
     start, state = unknowns_of(run.block), bundle.first()
     if keeper is not None:
         start, state = keeper.resumed(start, state)
+        state = state._replace(status=on_device(solver.RUNNING, state.status.dtype))  # a file's verdict is not believed
     unknowns, problem, state = placed(arranged_unknowns(run.plan, start), run.args.problem, state)
     args, interrupted = run.args._replace(problem=problem), False
     try:
@@ -235,14 +240,15 @@ def _step_by_step(run: _Run, keeper: Keeper | None) -> tuple[Arranged, Iteration
             before = int(state.accepted)
             unknowns, state = solver.run(bundle, unknowns, args, state, 1, optimised=run.optimised)
             accepted = int(state.accepted) > before
+            if keeper is not None and accepted and int(state.status) == solver.RUNNING:
+                # the last step is not kept: who goes on from here does it again and comes to the same end
+                keeper.keep(restored_unknowns(run.plan, unknowns), state)
             if run.wanted.progress is not None:
                 run.wanted.progress(_progress(run.block, state, accepted))
-            if keeper is not None and (accepted or int(state.status) != solver.RUNNING):
-                keeper.keep(restored_unknowns(run.plan, unknowns), state)
     except KeyboardInterrupt:
-        if jax.process_count() > 1:
-            raise  # the others would wait for this one for ever
-        interrupted = True
+        if jax.process_count() > 1 or not int(state.accepted):
+            raise  # the others would wait for this one for ever; or there is nothing to keep
+        interrupted = int(state.status) == solver.RUNNING
     state = jax.tree.map(lambda x: on_device(on_host(x)), state)
     status = Status.INTERRUPTED if interrupted else _STATUS[int(state.status)]
     return unknowns, _iterations(state, on_device(int(status)))

@@ -125,7 +125,7 @@ def adjust_many(
     Blocks of similar size share their compiled programs. A block that cannot be adjusted has its error in the result
     and stops no other. `blocks`: by name, or in a row, each then called by its own name; equal ones are numbered.
     `progress` is called with every finished block. Ctrl-C ends the batch after the block that is being adjusted, of
-    which the last accepted unknowns are kept.
+    which the last accepted unknowns are kept; a block without an accepted step is left out.
 
     Raises: ValueError for options that no block can be adjusted with, or without float64.
     """
@@ -147,6 +147,8 @@ def adjust_many(
             )
         except ValueError as error:
             result = error
+        except KeyboardInterrupt:  # before the first accepted step
+            break
         outcome = Outcome(name, result, time.perf_counter() - start)
         outcomes.append(outcome)
         if progress is not None:

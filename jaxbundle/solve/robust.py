@@ -106,7 +106,12 @@ def adjust_robustly(block: Block, function: AbstractWeightFunction, solve: Solve
     if not block.concrete:
         raise ValueError("robust estimation chooses its weights outside of jit, grad and vmap")
     end = _rounds(block, function, solve)
-    last = solve.fully(_weighted(end.block, np.asarray(block.rays.sigmas), end.weights))
+    last = end.adjustment
+    if last.status is not Status.INTERRUPTED:
+        try:
+            last = solve.fully(_weighted(last.block, np.asarray(block.rays.sigmas), end.weights))
+        except KeyboardInterrupt:
+            last = _interrupted(last)
     weights = on_device(end.weights)
     reweighting = Reweighting(function.name, function.limit, end.rounds, weights, end.settled)
     restored = eqx.tree_at(lambda b: b.rays.sigmas, last.block, block.rays.sigmas)
@@ -118,9 +123,9 @@ def adjust_robustly(block: Block, function: AbstractWeightFunction, solve: Solve
 
 
 class _End(NamedTuple):
-    """How the rounds ended. `failed`: the last ones' adjustments that did not converge."""
+    """How the rounds ended: the last adjustment. `failed`: the last ones that did not converge."""
 
-    block: Block
+    adjustment: Adjustment
     weights: np.ndarray
     rounds: int
     settled: bool
@@ -133,22 +138,30 @@ def _rounds(block: Block, function: AbstractWeightFunction, solve: Solve) -> _En
     weights, rounds, settled, failed = np.ones(len(sigmas)), 0, False, []
     start = solve.quickly(block)
     first = Huber() if function.redescending else function
-    for now in dict.fromkeys((first, function)):
-        for _ in range(MOST_ROUNDS):
-            rounds += 1
-            t = normed_lengths(start, sigmas, weights)
-            if not np.isfinite(t).all():
-                return _End(start.block, weights, rounds, False, [start.status])
-            new = np.asarray(now.weights(on_device(t)))
-            settled = bool(np.abs(new - weights).max(initial=0.0) < SETTLED)
-            weights = new
-            start = solve.quickly(_weighted(start.block, sigmas, weights))
-            failed = [] if start.status is Status.CONVERGED else [*failed, start.status]
-            if len(failed) == FAILED_ROUNDS:
-                return _End(start.block, weights, rounds, False, failed)
-            if settled:
-                break
-    return _End(start.block, weights, rounds, settled, [])
+    try:
+        for now in dict.fromkeys((first, function)):
+            for _ in range(MOST_ROUNDS):
+                if start.status is Status.INTERRUPTED:
+                    return _End(start, weights, rounds, False, [])
+                rounds += 1
+                t = normed_lengths(start, sigmas, weights)
+                if not np.isfinite(t).all():
+                    return _End(start, weights, rounds, False, [start.status])
+                new = np.asarray(now.weights(on_device(t)))
+                settled = bool(np.abs(new - weights).max(initial=0.0) < SETTLED)
+                start, weights = solve.quickly(_weighted(start.block, sigmas, new)), new
+                failed = [] if start.status is Status.CONVERGED else [*failed, start.status]
+                if len(failed) == FAILED_ROUNDS:
+                    return _End(start, weights, rounds, False, failed)
+                if settled:
+                    break
+    except KeyboardInterrupt:  # in a solve that accepted nothing: the one before it is kept
+        return _End(_interrupted(start), weights, rounds, False, [])
+    return _End(start, weights, rounds, settled, [])
+
+
+def _interrupted(adjustment: Adjustment) -> Adjustment:
+    return eqx.tree_at(lambda a: a.iterations.status, adjustment, on_device(int(Status.INTERRUPTED)))
 
 
 def _given_up(end: _End) -> Finding:
