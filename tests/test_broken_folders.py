@@ -110,7 +110,8 @@ CASES: dict[str, tuple[Edit, str]] = {
     ),
     "unknown camera": (
         line("images.csv", 3, "wide", "narrow"),
-        "images.csv:3: image 012: camera narrow is not in block.toml; known: wide; add it there, correct the name or drop the row",
+        "images.csv:3: image 012: camera narrow is not in block.toml; known: wide; "
+        "add it there, correct the name or drop the row",
     ),
     "ray without point": (
         line("rays.csv", 17, "104", " "),

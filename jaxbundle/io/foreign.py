@@ -29,6 +29,9 @@ PATTERNS = (  # of files in a folder
     ("*.opf", "an OPF project"),
     ("Ori-*", "a MicMac project"),
     ("*.nvm", "a VisualSFM model"),
+    ("geoin.dat", "a BINGO project"),
+    ("*.prj", "an Inpho project"),
+    ("*.im", "a PATB project"),
 )
 SUFFIXES = {
     ".psx": "a Metashape project",

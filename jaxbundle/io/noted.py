@@ -20,7 +20,8 @@ class Placed:
     cause: bool = False  # is told before all others
 
     def __str__(self) -> str:
-        place = f"{self.file}:{self.line}: " if self.line else f"{self.file}: " if self.file else ""
+        file = shown(self.file)
+        place = f"{file}:{self.line}: " if self.line else f"{file}: " if file else ""
         return f"{place}{self.problem.what}; {self.problem.cure}"
 
 

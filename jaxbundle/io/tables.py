@@ -76,17 +76,11 @@ class Table:
         """A column of names; none may be blank or hold a character that is not visible."""
         names = self.text[column]
         self.note(where(names == ""), f"the {column} has no name", "name it or drop the row")
-        self.visible(column)
+        odd = [name for name in names.unique() if not name.isprintable() and any(map(is_hidden, name))]
+        if odd:
+            what = f"the {column} has a character that is not visible"
+            self.note(where(names.is_in(odd)), what, "take it out of the name")
         return names
-
-    def visible(self, *columns: str) -> None:
-        """Notes names with characters that are not visible."""
-        for column in columns:
-            names = self.text[column] if column in self.text.columns else pl.Series([], dtype=pl.String)
-            odd = [name for name in names.unique() if not name.isprintable() and any(map(is_hidden, name))]
-            if odd:
-                what = f"the {column} has a character that is not visible"
-                self.note(where(names.is_in(odd)), what, "take it out of the name")
 
     def positions(self, column: str, names: Sequence[str], file: str) -> Int[np.ndarray, " row"]:
         """Positions of a column's names among those that another file defines; -1 and a note where one is not there."""
@@ -136,7 +130,9 @@ class Table:
         given = np.stack([(text != "").to_numpy() for text in texts], 1)
         self._note_unreadable(columns, given & ~np.isfinite(values))
         size = np.abs(values)
-        nothing = np.stack([text.str.contains(NOT_NOTHING).to_numpy() for text in texts], 1) & (size < NOTHING)
+        nothing = size < NOTHING
+        if nothing.any():
+            nothing &= np.stack([text.str.contains(NOT_NOTHING).to_numpy() for text in texts], 1)
         finite, limits = np.isfinite(values), np.broadcast_to(largest, len(columns))
         large = finite & (size > limits)
         self._note_fields(columns, large, [f"larger than {limit:g}" for limit in limits], "correct it, or its unit")
