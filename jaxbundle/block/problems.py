@@ -6,8 +6,9 @@ from dataclasses import dataclass
 SHOWN = 200  # a terminal's worth; the rest is counted
 LONGEST = 60  # characters of one value in a message
 HIDDEN = ("Cc", "Cs", "Zl", "Zp")  # categories of Unicode: control, no character, breaks of lines and paragraphs
-TURNING = (0x061C, 0x200E, 0x200F, *range(0x202A, 0x202F), *range(0x2066, 0x206A))  # the direction of writing
-WITHOUT_WIDTH = (0x200B, 0x2060, 0xFEFF)
+TURNING = {0x061C, 0x200E, 0x200F, *range(0x202A, 0x202F), *range(0x2066, 0x206A)}  # the direction of writing
+WITHOUT_WIDTH = {0x200B, 0x2060, 0xFEFF}
+UNSEEN = frozenset(map(chr, TURNING | WITHOUT_WIDTH))
 
 
 @dataclass(frozen=True)
@@ -43,7 +44,7 @@ class BlockError(ValueError):
 
 def is_hidden(character: str) -> bool:
     """Whether a character is no visible one: it ends a line, steers a terminal or turns the direction of writing."""
-    return unicodedata.category(character) in HIDDEN or ord(character) in (*TURNING, *WITHOUT_WIDTH)
+    return unicodedata.category(character) in HIDDEN or character in UNSEEN
 
 
 def printable(text: str) -> str:

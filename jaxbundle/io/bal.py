@@ -9,6 +9,8 @@ Every image has a camera of its own. Its projection centre is X0 = -R^T t; its a
 object_from_image.
 """
 
+import codecs
+import re
 from pathlib import Path
 
 import jax
@@ -36,6 +38,7 @@ from jaxbundle.io.text import require_bytes
 from jaxbundle.numerics.host import on_device
 
 HEAD = 200  # characters that hold the first line
+FIELD = re.compile(rb"(?<!\S)(?![+-]?\d{1,17}(?:\.\d{0,30})?(?:[eE][+-]?\d{1,2})?(?!\S))\S+")  # no plain number
 DIGITS = 18  # of the numbers of cameras, points and observations: they fit into 64 bits
 AGAIN = "correct it, or take the file from its source again"
 SHOWN_FIELDS = 10  # of a line in a message
@@ -49,7 +52,7 @@ def read_bal(path: str | Path, estimate_interior: bool = True) -> Block:
 
     Raises: BlockError with what is wrong in the file.
     """
-    text = require_bytes(Path(path))
+    text = _plain(require_bytes(Path(path)))
     cameras, points, observations = _counts(Path(path).name, text)
     numbers = _numbers(Path(path).name, text, 3 + 4 * observations + 9 * cameras + 3 * points)
     rays, parameters, coordinates = np.split(numbers[3:], [4 * observations, 4 * observations + 9 * cameras])
@@ -83,9 +86,15 @@ def read_bal(path: str | Path, estimate_interior: bool = True) -> Block:
     )
 
 
+def _plain(text: bytes) -> bytes:
+    """The text without byte order mark, its lines ending with LF."""
+    text = text.removeprefix(codecs.BOM_UTF8)
+    return text.replace(b"\r\n", b"\n").replace(b"\r", b"\n") if b"\r" in text else text
+
+
 def is_bal(head: bytes) -> bool:
     """Whether a file that begins so is a BAL file: three integers in its first line."""
-    fields = head.partition(b"\n")[0].split()
+    fields = _plain(head).partition(b"\n")[0].split()
     return len(fields) == 3 and all(field.isdigit() and len(field) <= DIGITS for field in fields)
 
 
@@ -130,15 +139,15 @@ def _numbers(file: str, text: bytes, promised: int) -> Numbers:
 
 
 def _what_is_wrong(file: str, text: bytes, promised: int, readable: bool) -> BlockError:
-    """The first field that is no number, if not all are readable, else the first observation that is
-    not whole, else the number of fields."""
+    """The first field that is not a number, if not all of them are; else the first observation that is not whole; else
+    the number of fields."""
     cameras, points, observations = _counts(file, text)
+    wrong = None if readable else next((field for field in FIELD.finditer(text) if not _is_finite(field[0])), None)
+    if wrong:
+        line = text.count(b"\n", 0, wrong.start()) + 1
+        said = shown(wrong[0].decode(errors="replace"))
+        return _wrong(file, line, f"'{said}' is not a finite number", AGAIN)
     lines = [(number, line.split()) for number, line in enumerate(text.split(b"\n"), 1) if line.strip()]
-    for number, fields in lines if not readable else ():
-        for field in fields:
-            if not _is_finite(field):
-                said = shown(field.decode(errors="replace"))
-                return _wrong(file, number, f"'{said}' is not a finite number", AGAIN)
     for number, fields in lines[1 : observations + 1]:
         if len(fields) != 4:
             said = shown(b" ".join(fields[:SHOWN_FIELDS]).decode(errors="replace"))

@@ -141,7 +141,7 @@ def _datum(
     lost = [image for image in settings.datum.hold if image not in position]
     odd = dict.fromkeys(element for _, element in held if element not in elements)
     for names, what, cure in (
-        (lost, f"not in {images.table.file}", "correct its name"),
+        (lost, f"not in {images.table.file}", "correct the name"),
         (list(odd), "unknown", f"known: {', '.join(elements)}"),
     ):
         if names:

@@ -10,10 +10,11 @@ from pathlib import Path
 from typing import Any
 
 from pydantic import ValidationError
+from pydantic_core import ErrorDetails
 
 from jaxbundle.block.problems import is_hidden, shown
 from jaxbundle.geometry.rotation import OMEGA_PHI_KAPPA, ROTATION_SYSTEMS, RotationSystem
-from jaxbundle.io.noted import Noted
+from jaxbundle.io.noted import Noted, listed
 from jaxbundle.io.settings import RADIANS, Settings, TableNames
 from jaxbundle.io.settings_words import OF_NAMES, in_words
 from jaxbundle.io.tables import read_text
@@ -89,9 +90,16 @@ def read_block_toml(path: Path, noted: Noted) -> BlockToml:
     try:
         return BlockToml(Settings.model_validate(raw), raw, text)
     except ValidationError as error:
-        for detail in error.errors(include_url=False)[:MANY]:
-            loc = tuple(str(part) for part in detail["loc"])
-            noted.add(path.name, _line(text, loc), *in_words(detail, loc, path.parent))
+        alike: dict[tuple, list[ErrorDetails]] = {}
+        for detail in error.errors(include_url=False):
+            loc = detail["loc"]
+            named = loc[0] in OF_NAMES and len(loc) > 2  # the same in many sections
+            alike.setdefault((loc[0], loc[2:], detail["msg"]) if named else loc, []).append(detail)
+        for first, *others in list(alike.values())[:MANY]:
+            loc = tuple(str(part) for part in first["loc"])
+            what, cure = in_words(first, loc, path.parent)
+            also = f"; likewise {listed([str(other['loc'][1]) for other in others])}" if others else ""
+            noted.add(path.name, _line(text, loc), what + also, cure)
         return BlockToml(None, raw, text)
 
 

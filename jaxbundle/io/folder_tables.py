@@ -221,9 +221,9 @@ def _observations(
 def _images(table: Table, toml: BlockToml) -> ImageRows:
     names = table.names("image")
     table.unique("image")
-    cameras = table.names("camera")
+    cameras = table.text["camera"]
     if toml.camera_names is not None:
-        table.positions("camera", toml.camera_names, "block.toml")
+        table.positions("camera", toml.camera_names, FILE)
     elements = (*CENTRE_ELEMENTS, *toml.rotation_system.angles)
     largest = (*[LARGEST_LENGTH] * 3, *[largest_angle(toml.half_turn)] * 3)
     orientations = table.numbers(*elements, needed=APPROXIMATE, largest=largest)

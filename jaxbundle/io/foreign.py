@@ -1,5 +1,6 @@
 """Well-known forms of blocks and files that are not read: they are recognised and called by their name."""
 
+import codecs
 from pathlib import Path
 
 from jaxbundle.io.text import known_bytes
@@ -80,6 +81,8 @@ def known_folder(folder: Path) -> str:
 
 def known_file(path: Path, head: bytes) -> str:
     """What a file is that begins with `head`, as a statement such as "is compressed (gzip)"; "" if unknown."""
+    if head.startswith((codecs.BOM_UTF16_LE, codecs.BOM_UTF16_BE)):
+        return "is text in UTF-16"
     said = known_bytes(head)
     if said:
         return said

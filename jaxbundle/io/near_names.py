@@ -9,6 +9,7 @@ from jaxbundle.block.problems import shown
 
 EXTENSION = re.compile(r"\.[A-Za-z][A-Za-z0-9]{1,3}$")
 DECIMALS = re.compile(r"\.0+$")
+LEAST = 0.2  # of the unknown names have to match: fewer do so by chance
 SHORTEST = 3  # characters of a name in which one of them may be wrong
 
 
@@ -23,10 +24,11 @@ class Match(NamedTuple):
         """Such as "all 16 names match without 'GCP', such as 317 for GCP317"."""
         (unknown, known), *_ = self.pairs.items()
         found = len(self.pairs)
-        many = f"all {found} names match" if found == self.of else f"{found} of {self.of} names match"
-        did = "did you mean" if self.of == 1 else f"{many} {self.words}: did you mean"
-        how = f" ({self.words})" if self.of == 1 and self.words else ""
-        return f"{did} {shown(known)} for {shown(unknown)}{how}?"
+        how = f" {self.words}" if self.words else ""
+        many = f"all {found} names match{how}" if found == self.of else f"{found} of {self.of} names match{how}"
+        if self.of == 1:
+            return f"did you mean {shown(known)} for {shown(unknown)}{f' ({self.words})' if how else ''}?"
+        return f"{many}: did you mean {shown(known)} for {shown(unknown)}{' and so on' if found > 1 else ''}?"
 
 
 def _without(pattern: re.Pattern[str]) -> Callable[[str], str]:
@@ -62,7 +64,7 @@ def nearest(unknown: Iterable[str], known: Sequence[str]) -> Match | None:
     changes = [*SIMPLE, *_prefixes(wanted, known)]
     matches = [Match(_pairs(wanted, known, change), _exact(words, wanted), len(wanted)) for words, change in changes]
     best = max(matches, key=lambda match: len(match.pairs))
-    return best if best.pairs else None
+    return best if len(best.pairs) > LEAST * len(wanted) else None
 
 
 def _exact(words: str, names: Sequence[str]) -> str:

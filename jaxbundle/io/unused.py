@@ -22,7 +22,7 @@ from jaxbundle.io.tables import near
 
 CARRYING = {"control": "control points", "stations": "stations", "attitudes": "attitudes"}
 DATUM = ("control", "stations")
-COMPARED = 200  # names without a partner that are compared with all others, letter by letter
+FEW = 10  # names without a partner that may be slips; more are another list of points
 NEAR = 0.05  # of the extent of the object points: control is that near to its approximate coordinates, or another point
 
 
@@ -110,7 +110,7 @@ def _unseen(tables: FolderTables, unseen: Int[np.ndarray, " row"], noted: Noted)
     free = _free_points(tables)
     match = near(names, free)
     pairs = dict(match.pairs) if match else {}
-    for name in names[:COMPARED]:
+    for name in names if len(names) <= FEW else ():
         partner = "" if name in pairs else slip(name, free)
         if partner:
             pairs[name] = partner
