@@ -15,6 +15,7 @@ import tempfile
 import time
 import traceback
 from collections import Counter
+from collections.abc import Sequence
 from pathlib import Path
 
 sys.path.insert(0, str(Path(__file__).parents[1]))
@@ -37,6 +38,7 @@ from jaxbundle.io import block_folder, read, read_bal, write_bal  # noqa: E402
 LIMIT = 10.0  # seconds of processor time of one input
 WAIT = 60.0  # seconds of any time: a file that never ends
 LONG = 2.0  # seconds of processor time that are reported
+SHARES = (0.15, 0.1, 0.05, 0.7)  # of the inputs: of each folder, the cheap ones more, and of BAL files
 MESSAGE = 100_000  # characters of all that is told
 
 
@@ -94,8 +96,8 @@ def _without_datum(block: Block) -> list:
     return [problem for part in parts for problem in part(block)]
 
 
-def fuzz(folder: Path, inputs: int, seed: int, whole: int) -> Counter[str]:
-    """Reads mutations of all blocks in turn; what is not expected is printed with its number."""
+def fuzz(folder: Path, inputs: int, seed: int, whole: int, shares: Sequence[float] = SHARES) -> Counter[str]:
+    """Reads mutations of the blocks in their shares; what is not expected is printed with its number."""
     made = [make(folder / name) for name, make in MAKERS.items()]
     contents = [{path.name: path.read_bytes() for path in sorted(block.iterdir())} for block in made]
     bal = folder / "block.txt"
@@ -105,7 +107,7 @@ def fuzz(folder: Path, inputs: int, seed: int, whole: int) -> Counter[str]:
     count: Counter[str] = Counter()
     for number in range(inputs):
         rng = np.random.default_rng([seed, number])
-        kind = int(rng.choice(len(SHARES), p=SHARES))
+        kind = int(rng.choice(len(shares), p=np.divide(shares, sum(shares))))
         if kind == len(made):
             bal.write_bytes(bal_mutated(numbers, rng))
             path, name = bal, "BAL"
@@ -139,7 +141,6 @@ BAL_TEXT = "2 2 4\n0 0 -385.99 387.12\n1 0 -38.44 492.12\n0 1 383.88 -15.3\n1 1 
         [0.01, 0.02, -0.003, 1, 2, -3, 1400, 0.001, -2e-4, 0, 0.1, -0.2, 4, 5, 6, 1500, 0, 0, 1, 2, -30, -4, 5, -36],
     )
 )
-SHARES = (0.15, 0.1, 0.05, 0.7)  # of the inputs: of each folder, the cheap ones more, and of BAL files
 MAKERS = {
     "small": make_small_folder,
     "film": lambda path: film_folder(path, "affine"),
@@ -153,13 +154,14 @@ def main() -> int:
     parser.add_argument("--inputs", type=int, default=1000)
     parser.add_argument("--seed", type=int, default=0)
     parser.add_argument("--whole", type=int, default=100, help="every so many inputs are intersected and tested")
+    parser.add_argument("--shares", type=float, nargs=4, default=SHARES, help="small, film, surveyed folder and BAL")
     options = parser.parse_args()
     runtime.start()
     signal.signal(signal.SIGALRM, _alarm)
     signal.signal(signal.SIGPROF, _alarm)
     start = time.perf_counter()
     with tempfile.TemporaryDirectory() as folder:
-        count = fuzz(Path(folder), options.inputs, options.seed, options.whole)
+        count = fuzz(Path(folder), options.inputs, options.seed, options.whole, options.shares)
     used = time.perf_counter() - start
     for what, number in sorted(count.items()):
         print(f"{number:8d}  {what}")
