@@ -27,7 +27,7 @@ from jaxbundle.camera.model import CameraModel
 from jaxbundle.geometry.rotation import ALPHA_OMEGA_KAPPA
 from jaxbundle.io import read_block_folder, write_block_folder
 from jaxbundle.io.block_toml import read_block_toml
-from jaxbundle.io.findings import Findings
+from jaxbundle.io.noted import Noted
 
 FOLDERS = (
     "strasbourg-s1-fixed",
@@ -310,5 +310,5 @@ def test_the_readme_shows_a_block_toml(tmp_path: Path) -> None:
     readme = (Path(__file__).parents[1] / "README.md").read_text(encoding="utf-8")
     text = readme.partition("```toml\n")[2].partition("```")[0]
     (tmp_path / "block.toml").write_text(text, encoding="utf-8")
-    findings = Findings()
-    assert read_block_toml(tmp_path / "block.toml", findings).settings is not None, str(findings.error())
+    noted = Noted()
+    assert read_block_toml(tmp_path / "block.toml", noted).settings is not None, str(noted.error())

@@ -69,7 +69,7 @@ WORDS: dict[str, tuple[Edit, str]] = {
     ),
     "unknown camera": (
         row("fiducials.csv", 4, "wide", "narrow"),
-        "fiducials.csv:4: fiducial 3 of camera narrow: camera narrow is not in block.toml; "
+        "fiducials.csv:4: fiducial 3 of camera narrow: camera narrow is not in block.toml; known: wide; "
         "add it there, correct the name or drop the row",
     ),
     "calibrated twice": (

@@ -110,7 +110,8 @@ CASES: dict[str, tuple[Edit, str]] = {
     ),
     "unknown camera": (
         line("images.csv", 3, "wide", "narrow"),
-        "images.csv:3: image 012: camera narrow is not in block.toml; add it there, correct the name or drop the row",
+        "images.csv:3: image 012: camera narrow is not in block.toml; known: wide; "
+        "add it there, correct the name or drop the row",
     ),
     "ray without point": (
         line("rays.csv", 17, "104", " "),
@@ -137,7 +138,7 @@ CASES: dict[str, tuple[Edit, str]] = {
         "control.csv:7: point 103: is already in line 4; drop one of the two",
     ),
     "ray twice": (
-        added("rays.csv", "012,104,1000,1000,,"),
+        lambda folder: append(folder, "rays.csv", (folder / "rays.csv").read_text().splitlines()[16]),
         "rays.csv:50: point 104 on image 012: is already in line 17; drop one of the two",
     ),
     "unknown role": (
@@ -160,19 +161,20 @@ CASES: dict[str, tuple[Edit, str]] = {
     # numbers
     "no number": (
         line("rays.csv", 14, "356.25", "356;25"),
-        f"rays.csv:14: point 101 on image 012: x is '356;2519991438103', no finite number; {NUMBER}",
+        f"rays.csv:14: point 101 on image 012: x is '356;2519991438103', not a finite number; {NUMBER}",
     ),
     "NaN": (
         line("points.csv", 7, "106,-7.0", "106,nan"),
-        f"points.csv:7: point 106: X is 'nan', no finite number; {NUMBER}",
+        f"points.csv:7: point 106: X is 'nan', not a finite number; {NUMBER}",
     ),
     "infinite": (
         line("images.csv", 2, "100.0", "inf"),
-        f"images.csv:2: image 011: Z0 is 'inf', no finite number; {NUMBER}",
+        f"images.csv:2: image 011: Z0 is 'inf', not a finite number; {NUMBER}",
     ),
     "empty number": (
         line("images.csv", 5, "-2.0", ""),
-        "images.csv:5: image 022: omega is not given; give a number or drop the row",
+        "images.csv:5: image 022: omega is not given; give approximate values, as from GNSS, the flight plan or a map: "
+        "some percent of the flying height are enough",
     ),
     "negative sigma": (
         line("control.csv", 3, "0.04", "-0.04"),
@@ -205,7 +207,10 @@ CASES: dict[str, tuple[Edit, str]] = {
         "give the standard deviation of an image coordinate",
     ),
     # block.toml
-    "no TOML": (toml(18, "[2010.0,", "[2010.0"), "block.toml:18: no valid TOML: Unclosed array; correct the line"),
+    "no TOML": (
+        toml(18, "[2010.0,", "[2010.0"),
+        "block.toml:18: no valid TOML: Unclosed array: principal_point = [2010.0 1490.0]; correct the line",
+    ),
     "other format": (toml(1, "1", "2"), "block.toml:1: format is 2; give 1"),
     "unknown unit": (toml(7, "deg", "grad"), "block.toml:7: [units] angle is \"grad\"; give 'deg', 'gon' or 'rad'"),
     "missing unit": (toml(7, 'angle = "deg"', ""), "block.toml:5: [units] angle is missing; give it"),
@@ -264,7 +269,7 @@ CASES: dict[str, tuple[Edit, str]] = {
     ),
     "no camera": (
         without_cameras,
-        "block.toml: cameras is missing; give it",
+        'block.toml: [cameras] is missing; give it, such as [cameras.NAME] image_unit = "px"',
     ),
     "unknown held image": (
         added("block.toml", '[datum]\ntype = "fixed"\nhold = { "012" = ["X0"], "013" = ["X0"] }'),

@@ -122,7 +122,7 @@ CASES: dict[str, tuple[Edit, str]] = {
     ),
     "unknown bar": (
         both(table("scale_bars", SCALE_BARS, "b,101,102,0.1"), table("bars", BARS, "c,1,0")),
-        "scale_bars.csv:2: scale bar 101 - 102 of bar b: bar b is not in bars.csv; "
+        "scale_bars.csv:2: scale bar 101 - 102 of bar b: bar b is not in bars.csv; known: c; "
         "add it there, correct the name or drop the row",
     ),
     "bar twice": (
@@ -236,7 +236,7 @@ CASES: dict[str, tuple[Edit, str]] = {
     ),
     "group without name": (
         added("block.toml", "[navigation]\nshift = [1.0, 2.0, 3.0]"),
-        "block.toml:31: [navigation.shift] shift is no section; write it as [navigation.shift] and its keys below",
+        "block.toml:31: [navigation.shift] shift is not a section; write it as [navigation.shift] and its keys below",
     ),
     # interior
     "prior of a held element": (

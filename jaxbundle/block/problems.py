@@ -1,18 +1,28 @@
 """Problems of a block in the user's names, each with its cure, told all at once."""
 
+import unicodedata
 from dataclasses import dataclass
 
 SHOWN = 200  # a terminal's worth; the rest is counted
+LONGEST = 60  # characters of one value in a message
+HIDDEN = ("Cc", "Cs", "Zl", "Zp")  # categories of Unicode: control, no character, breaks of lines and paragraphs
+TURNING = {0x061C, 0x200E, 0x200F, *range(0x202A, 0x202F), *range(0x2066, 0x206A)}  # the direction of writing
+WITHOUT_WIDTH = {0x200B, 0x2060, 0xFEFF}
+UNSEEN = frozenset(map(chr, TURNING | WITHOUT_WIDTH))
 
 
 @dataclass(frozen=True)
 class Problem:
-    """What is wrong, what cures it, and where: a table of the block and a row in it (counted from 0)."""
+    """What is wrong, what cures it, and where: a table of the block and a row in it (counted from 0).
+
+    `count`: how many rows it concerns, the first of which is `row`.
+    """
 
     what: str
     cure: str
     table: str = ""
     row: int | None = None
+    count: int = 1
 
     def __str__(self) -> str:
         place = f"{self.table}, row {self.row}: " if self.row is not None else f"{self.table}: " if self.table else ""
@@ -24,8 +34,27 @@ class BlockError(ValueError):
 
     def __init__(self, problems: list[Problem], lines: list[str] | None = None):
         self.problems = tuple(problems)
-        self.lines = tuple(lines if lines is not None else [str(problem) for problem in problems])
+        told = lines if lines is not None else [str(problem) for problem in problems]
+        self.lines = tuple(printable(line) for line in told)
         count = len(self.lines)
         head = "1 problem in the block" if count == 1 else f"{count} problems in the block"
         more = [f"  ... and {count - SHOWN} more"] if count > SHOWN else []
         super().__init__("\n".join([f"{head}:", *(f"  {line}" for line in self.lines[:SHOWN]), *more]))
+
+
+def is_hidden(character: str) -> bool:
+    """Whether a character is no visible one: it ends a line, steers a terminal or turns the direction of writing."""
+    return unicodedata.category(character) in HIDDEN or character in UNSEEN
+
+
+def printable(text: str) -> str:
+    """The text with every hidden character as its escape, such as \\x1b."""
+    if text.isascii() and text.isprintable():
+        return text
+    return "".join(c.encode("unicode_escape").decode() if is_hidden(c) else c for c in text)
+
+
+def shown(text: str, longest: int = LONGEST) -> str:
+    """A value as a message shows it: without hidden characters; of a long one its beginning, and its length."""
+    begin = printable(text[:longest])
+    return begin if len(text) <= longest else f"{begin}... ({len(text)} characters)"

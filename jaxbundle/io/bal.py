@@ -9,6 +9,8 @@ Every image has a camera of its own. Its projection centre is X0 = -R^T t; its a
 object_from_image.
 """
 
+import codecs
+import re
 from pathlib import Path
 
 import jax
@@ -18,13 +20,28 @@ import polars as pl
 from jaxtyping import Array, Float
 
 from jaxbundle.block.block import Block, Camera, CheckPoints, ExteriorOrientation, InteriorOrientation, Rays, Structure
-from jaxbundle.block.problems import BlockError, Problem
+from jaxbundle.block.findings import Finding
+from jaxbundle.block.problems import BlockError, Problem, shown
 from jaxbundle.camera.forward import BAL
 from jaxbundle.geometry import rotation
 from jaxbundle.geometry.rotation import OMEGA_PHI_KAPPA
+from jaxbundle.io.ranges import (
+    LARGEST_COEFFICIENT,
+    LARGEST_IMAGE_COORDINATE,
+    LARGEST_LENGTH,
+    NOTHING,
+    PRINCIPAL_DISTANCES,
+    TURNS,
+)
+from jaxbundle.io.remarks import measured_again
+from jaxbundle.io.text import require_bytes
 from jaxbundle.numerics.host import on_device
 
 HEAD = 200  # characters that hold the first line
+FIELD = re.compile(rb"(?<!\S)(?![+-]?\d{1,17}(?:\.\d{0,30})?(?:[eE][+-]?\d{1,2})?(?!\S))\S+")  # no plain number
+DIGITS = 18  # of the numbers of cameras, points and observations: they fit into 64 bits
+AGAIN = "correct it, or take the file from its source again"
+SHOWN_FIELDS = 10  # of a line in a message
 Numbers = Float[np.ndarray, " number"]
 
 
@@ -35,12 +52,13 @@ def read_bal(path: str | Path, estimate_interior: bool = True) -> Block:
 
     Raises: BlockError with what is wrong in the file.
     """
-    text = Path(path).read_bytes()
+    text = _plain(require_bytes(Path(path)))
     cameras, points, observations = _counts(Path(path).name, text)
     numbers = _numbers(Path(path).name, text, 3 + 4 * observations + 9 * cameras + 3 * points)
     rays, parameters, coordinates = np.split(numbers[3:], [4 * observations, 4 * observations + 9 * cameras])
     rays, parameters = rays.reshape(-1, 4), parameters.reshape(-1, 9)
     _require_indices(Path(path).name, text, rays, cameras, points)
+    _require_sizes(Path(path).name, text, numbers[3:], cameras, observations)
     centre, angles = _orientation(parameters[:, :6].T)
     names = tuple(map(str, range(cameras)))
     structure = Structure(
@@ -55,6 +73,7 @@ def read_bal(path: str | Path, estimate_interior: bool = True) -> Block:
         interior_free=np.full((cameras, 3), estimate_interior),
         point_free=np.ones((points, 3), bool),
         check_point=np.zeros(0, np.int32),
+        findings=_measured_again(rays, points),
     )
     return Block(
         structure,
@@ -67,10 +86,27 @@ def read_bal(path: str | Path, estimate_interior: bool = True) -> Block:
     )
 
 
+def _plain(text: bytes) -> bytes:
+    """The text without byte order mark, its lines ending with LF."""
+    text = text.removeprefix(codecs.BOM_UTF8)
+    return text.replace(b"\r\n", b"\n").replace(b"\r", b"\n") if b"\r" in text else text
+
+
 def is_bal(head: bytes) -> bool:
     """Whether a file that begins so is a BAL file: three integers in its first line."""
-    fields = head.partition(b"\n")[0].split()
-    return len(fields) == 3 and all(field.isdigit() for field in fields)
+    fields = _plain(head).partition(b"\n")[0].split()
+    return len(fields) == 3 and all(field.isdigit() and len(field) <= DIGITS for field in fields)
+
+
+def _measured_again(rays: Float[np.ndarray, "ray 4"], points: int) -> tuple[Finding, ...]:
+    """What is told of points that an image measures more than once: all of their rays are observations."""
+    pairs = rays[:, 0].astype(np.int64) * points + rays[:, 1].astype(np.int64)
+    _, first = np.unique(pairs, return_index=True)
+    if len(first) == len(pairs):
+        return ()
+    again = np.ones(len(pairs), bool)
+    again[first] = False
+    return (measured_again([(f"{image:.0f}", f"{point:.0f}") for image, point in rays[again, :2].tolist()]),)
 
 
 def _wrong(file: str, line: int, what: str, cure: str) -> BlockError:
@@ -96,24 +132,26 @@ def _numbers(file: str, text: bytes, promised: int) -> Numbers:
         numbers = np.fromstring(text, sep=" ")
     except ValueError:
         numbers = None
-    if numbers is None or len(numbers) != promised or not np.isfinite(numbers).all():
-        raise _what_is_wrong(file, text, promised)
+    readable = numbers is not None and bool(np.isfinite(numbers).all())
+    if numbers is None or not readable or len(numbers) != promised:
+        raise _what_is_wrong(file, text, promised, readable)
     return numbers
 
 
-def _what_is_wrong(file: str, text: bytes, promised: int) -> BlockError:
-    """The first field that is no number, else the first observation that is not whole, else the number of fields."""
+def _what_is_wrong(file: str, text: bytes, promised: int, readable: bool) -> BlockError:
+    """The first field that is not a number, if not all of them are; else the first observation that is not whole; else
+    the number of fields."""
     cameras, points, observations = _counts(file, text)
+    wrong = None if readable else next((field for field in FIELD.finditer(text) if not _is_finite(field[0])), None)
+    if wrong:
+        line = text.count(b"\n", 0, wrong.start()) + 1
+        said = shown(wrong[0].decode(errors="replace"))
+        return _wrong(file, line, f"'{said}' is not a finite number", AGAIN)
     lines = [(number, line.split()) for number, line in enumerate(text.split(b"\n"), 1) if line.strip()]
-    again = "correct it, or take the file from its source again"
-    for number, fields in lines:
-        for field in fields:
-            if not _is_finite(field):
-                return _wrong(file, number, f"'{field.decode(errors='replace')}' is no finite number", again)
     for number, fields in lines[1 : observations + 1]:
         if len(fields) != 4:
-            what = f"observation '{b' '.join(fields).decode()}' has {len(fields)} numbers, not 4"
-            return _wrong(file, number, what, again)
+            said = shown(b" ".join(fields[:SHOWN_FIELDS]).decode(errors="replace"))
+            return _wrong(file, number, f"observation '{said}' has {len(fields)} numbers, not 4", AGAIN)
     found = sum(len(fields) for _, fields in lines)
     promise = f"{cameras} cameras, {points} points and {observations} observations need {promised} numbers"
     cure = "the file is cut off: take it from its source again" if found < promised else "correct the first line"
@@ -136,6 +174,35 @@ def _require_indices(file: str, text: bytes, rays: Float[np.ndarray, "ray 4"], c
             line = _line(text, 3 + 4 * int(wrong[0]) + column)
             problem = f"there is no {what} {index[wrong[0]]:g}: the file has {count}, numbered from 0"
             raise _wrong(file, line, problem, "correct the number or drop the observation and count anew")
+
+
+def _require_sizes(file: str, text: bytes, numbers: Numbers, cameras: int, observations: int) -> None:
+    """Raises BlockError for the first number that is too large to be what it stands for."""
+    ends = 4 * observations, 4 * observations + 9 * cameras
+    limits = np.full(len(numbers), LARGEST_LENGTH)
+    limits[: ends[0]] = LARGEST_IMAGE_COORDINATE
+    rows = limits[ends[0] : ends[1]].reshape(-1, 9)
+    rows[:, :3], rows[:, 6], rows[:, 7:] = TURNS * 2 * np.pi, PRINCIPAL_DISTANCES[1], LARGEST_COEFFICIENT
+    size = np.abs(numbers)
+    smallest = np.zeros(len(numbers))
+    smallest[ends[0] : ends[1]].reshape(-1, 9)[:, 6] = PRINCIPAL_DISTANCES[0]
+    wrong = np.flatnonzero((size > limits) | (size < smallest) | ((size < NOTHING) & (size > 0)))
+    if len(wrong):
+        k = int(wrong[0])
+        bounds = f"not from {smallest[k]:g} to {limits[k]:g} in size, as {_meaning(k, ends)} is"
+        more = f", and {len(wrong) - 1} more numbers are out of their range" if len(wrong) > 1 else ""
+        raise _wrong(file, _line(text, 3 + k), f"{numbers[k]:g} is {bounds}{more}", AGAIN)
+
+
+def _meaning(k: int, ends: tuple[int, int]) -> str:
+    """What the k-th number after the first line stands for."""
+    if k < ends[0]:
+        return ("the number of a camera", "the number of a point", "an image coordinate", "an image coordinate")[k % 4]
+    if k < ends[1]:
+        element = (k - ends[0]) % 9
+        names = ("a rotation vector, rad", "a translation", "f", "k1", "k2")
+        return names[(0, 0, 0, 1, 1, 1, 2, 3, 4)[element]]
+    return "a coordinate"
 
 
 def _line(text: bytes, field: int) -> int:

@@ -22,19 +22,17 @@ from jaxbundle.block.block import (
     Structure,
 )
 from jaxbundle.block.datum_defect import datum_defect
-from jaxbundle.block.findings import Finding as Note
-from jaxbundle.block.findings import Kind
-from jaxbundle.block.problems import BlockError, Problem
+from jaxbundle.block.problems import BlockError, Problem, shown
 from jaxbundle.block.validate import validate, weaknesses
 from jaxbundle.geometry.rotation import ROTATION_SYSTEMS
 from jaxbundle.io.block_toml import FILE, BlockToml, read_block_toml
 from jaxbundle.io.fiducial_tables import with_inner_orientations
-from jaxbundle.io.findings import Finding, Findings
-from jaxbundle.io.folder_tables import USUAL_FILES, FolderTables, KnownRows, RayRows, read_folder_tables
+from jaxbundle.io.folder_tables import FolderTables, KnownRows, RayRows, read_folder_tables
+from jaxbundle.io.noted import Noted, listed
 from jaxbundle.io.observation_groups import found_in, interior_groups, interior_values
-from jaxbundle.io.observation_tables import unused
 from jaxbundle.io.settings import RADIANS, CameraSection, DatumSection, Settings
-from jaxbundle.io.tables import listed
+from jaxbundle.io.told import told_of
+from jaxbundle.io.unused import unused
 
 
 def read_block_folder(path: str | Path) -> Block:
@@ -42,34 +40,34 @@ def read_block_folder(path: str | Path) -> Block:
 
     Raises: BlockError with all that is wrong.
     """
-    folder, findings = Path(path), Findings()
+    folder, noted = Path(path), Noted()
     if not folder.is_dir():
-        raise BlockError([Problem(f"{folder} is no folder", f"give the path of a folder with {FILE}")])
-    toml = read_block_toml(folder / FILE, findings)
-    tables = read_folder_tables(folder, toml, findings)
+        raise BlockError([Problem(f"{shown(str(folder))} is not a folder", f"give the path of a folder with {FILE}")])
+    toml = read_block_toml(folder / FILE, noted)
+    tables = read_folder_tables(folder, toml, noted)
     if tables is not None:
-        tables = with_inner_orientations(tables, toml, findings)
+        tables = with_inner_orientations(tables, toml, noted)
     settings = toml.settings
     if settings is None or tables is None:
-        raise findings.error()
-    block = _block(folder, toml, settings, tables, findings)
-    if findings:
-        problems = [p for p in weaknesses(block) if findings.touched.isdisjoint(_names(block.structure, p))]
+        raise noted.error()
+    block = _block(folder, toml, settings, tables, noted)
+    if noted:
+        problems = weaknesses(block)
     else:
         block, problems = with_figures(intersect(block))
         problems = problems or validate(block) or _wrong_elements(block, settings.datum)
-    findings.found += [Finding(*_place(problem, block, toml, tables), problem) for problem in problems]
-    if findings:
-        raise findings.error()
+    told_of(problems, block, toml, tables, noted)
+    if noted:
+        raise noted.error()
     return block
 
 
-def _block(folder: Path, toml: BlockToml, settings: Settings, tables: FolderTables, findings: Findings) -> Block:
+def _block(folder: Path, toml: BlockToml, settings: Settings, tables: FolderTables, noted: Noted) -> Block:
     """The block; where something was found it lacks the rows that refer to nothing known."""
     images, rays, known = tables.images, tables.rays, tables.known
     used = {name: section for name, section in settings.cameras.items() if name in images.camera}
     elements, interior_free = _interior(list(used.values()))
-    datum, exterior_free = _datum(toml, settings, tables, findings)
+    datum, exterior_free = _datum(toml, settings, tables, noted)
     found = found_in(tables, toml, settings)
     groups = (*found.groups, *interior_groups(list(used.values())))
     points, point_free = _object_points(rays, known)
@@ -92,7 +90,7 @@ def _block(folder: Path, toml: BlockToml, settings: Settings, tables: FolderTabl
         angle_unit=settings.units.angle,
         parameters=tuple(found.parameters),
         source=settings.source,
-        findings=_unused(folder, toml, settings, tables),
+        findings=unused(folder, toml, settings, tables, noted),
         inner_orientations=tables.inner_orientations,
     )
     return Block(
@@ -128,7 +126,7 @@ def _interior(
 
 
 def _datum(
-    toml: BlockToml, settings: Settings, tables: FolderTables, findings: Findings
+    toml: BlockToml, settings: Settings, tables: FolderTables, noted: Noted
 ) -> tuple[Datum, Bool[np.ndarray, "image 6"]]:
     """The datum and the free elements of the images."""
     images = tables.images
@@ -136,27 +134,37 @@ def _datum(
     if settings.datum is None:
         return Datum("open"), free
     if settings.datum.type == "inner":
-        return _free_network(toml, settings.datum, tables, findings), free
+        return _free_network(toml, settings.datum, tables, noted), free
     elements = ("X0", "Y0", "Z0", *ROTATION_SYSTEMS[settings.rotation.system].angles)
     position = {name: i for i, name in enumerate(images.names)}
     held = [(image, element) for image, names in settings.datum.hold.items() for element in names]
+    lost = [image for image in settings.datum.hold if image not in position]
+    odd = dict.fromkeys(element for _, element in held if element not in elements)
+    for names, what, cure in (
+        (lost, f"not in {images.table.file}", "correct the name"),
+        (list(odd), "unknown", f"known: {', '.join(elements)}"),
+    ):
+        if names:
+            called = "image" if names is lost else "element"
+            image = names[0] if names is lost else next(image for image, element in held if element in odd)
+            are = f"{called} {listed(names)} is" if len(names) == 1 else f"{called}s {listed(names)} are"
+            noted.add(FILE, toml.line("datum", "hold", image), f"[datum] {are} {what}", cure)
     for image, element in held:
-        line = toml.line("datum", "hold", image)
-        if image not in position:
-            findings.add(FILE, line, f"[datum] image {image} is not in {images.table.file}", "correct its name")
-        elif element not in elements:
-            findings.add(FILE, line, f"[datum] element {element} is unknown", f"known: {', '.join(elements)}")
-        else:
+        if image in position and element in elements:
             free[position[image], elements.index(element)] = False
     return Datum(settings.datum.type if held else "open", tuple(held)), free
 
 
-def _free_network(toml: BlockToml, section: DatumSection, tables: FolderTables, findings: Findings) -> Datum:
+def _free_network(toml: BlockToml, section: DatumSection, tables: FolderTables, noted: Noted) -> Datum:
     """The datum of a free network; points that are none are noted."""
     named = tuple(dict.fromkeys(section.points or ()))
-    for point in sorted(set(named).difference(tables.rays.points), key=named.index):
-        what = f"[datum] point {point} is not in {tables.rays.table.file}"
-        findings.add(FILE, toml.line("datum", "points"), what, "correct its name or drop it")
+    known = set(tables.rays.points)
+    absent = [point for point in named if point not in known]
+    if absent:
+        what = f"[datum] {'point' if len(absent) == 1 else 'points'} {listed(absent)}"
+        what += f" {'is' if len(absent) == 1 else 'are'} not in {tables.rays.table.file}"
+        cure = "correct its name or drop it" if len(absent) == 1 else "correct their names or drop them"
+        noted.add(FILE, toml.line("datum", "points"), what, cure)
     return Datum("inner", points=named)
 
 
@@ -196,69 +204,3 @@ def _check_points(control: KnownRows | None) -> tuple[Int[np.ndarray, " check"],
     rows = np.flatnonzero(control.check & (control.position >= 0))
     known = CheckPoints(jnp.asarray(control.coordinates[rows]), jnp.asarray(control.sigmas[rows]))
     return control.position[rows].astype(np.int32), known
-
-
-def _unused(folder: Path, toml: BlockToml, settings: Settings, tables: FolderTables) -> tuple[Note, ...]:
-    """What takes no part, one sentence each."""
-    notes: list[str] = []
-    for kind, what in (("control", "control"), ("points", "approximate")):
-        if kind in tables.known:
-            rows = tables.known[kind]
-            unseen = [rows.names[row] for row in np.flatnonzero(rows.position < 0)]
-            if len(unseen) == 1:
-                notes.append(f"{what} point {unseen[0]} is on no image and takes no part")
-            elif unseen:
-                notes.append(f"{len(unseen)} {what} points are on no image and take no part: {listed(unseen)}")
-    without_image = [name for name in settings.cameras if name not in tables.images.camera]
-    notes += [f"camera {name} has no image and takes no part" for name in without_image]
-    if tables.bars:
-        used = tables.pairs["scale_bars"].owner.tolist() if "scale_bars" in tables.pairs else ()
-        notes += unused(tables.bars.names, used, "bar")
-    groups = tables.navigation
-    taken = {int(k) for rows in groups.rows.values() for k in rows.group}
-    notes += unused(groups.names, taken, "navigation group")
-    times = [
-        f"times of navigation group {name} count from their mean, {origin:.10g}"
-        for name, origin in zip(groups.names, groups.origin.tolist(), strict=True)
-        if origin
-    ]
-    files = [file for file in USUAL_FILES if file not in toml.tables.values() and (folder / file).exists()]
-    notes += [f"{file} is not named in [tables] of {FILE} and takes no part" for file in files]
-    return (*(Note(Kind.UNUSED, note) for note in notes), *(Note(Kind.INFORMATION, time) for time in times))
-
-
-def _names(structure: Structure, problem: Problem) -> set[str]:
-    """Names of the image or the point that a problem of a row is about."""
-    if problem.row is None:
-        return set()
-    if problem.table == "rays":
-        return {structure.point_names[structure.ray_point[problem.row]]}
-    return {(structure.image_names if problem.table == "images" else structure.point_names)[problem.row]}
-
-
-def _place(problem: Problem, block: Block, toml: BlockToml, tables: FolderTables) -> tuple[str, int]:
-    """File and line of a problem of the block."""
-    row, kind = problem.row, problem.table
-    if kind == "cameras" and row is not None:
-        return FILE, toml.line("cameras", block.structure.cameras[row].name)
-    if kind == "datum":
-        return FILE, toml.line("datum", "elements")
-    if kind == "points" and row is not None:
-        return _place_of_point(row, block.structure, tables)
-    table = tables.table(kind)
-    if table is None:
-        return "", 0
-    if row is not None and kind in tables.known:
-        row = tables.known[kind].members[row]
-    return table.file, 0 if row is None else int(table.lines[row])
-
-
-def _place_of_point(point: int, structure: Structure, tables: FolderTables) -> tuple[str, int]:
-    """Where a point is first seen; of one on no image, where its coordinates stand."""
-    rays = np.flatnonzero(structure.ray_point == point)
-    if len(rays):
-        return tables.rays.table.file, int(tables.rays.table.lines[rays[0]])
-    for rows in (tables.known[kind] for kind in ("points", "control") if kind in tables.known):
-        if point in rows.position:
-            return rows.table.file, int(rows.table.lines[np.argmax(rows.position == point)])
-    return "", 0

@@ -1,6 +1,8 @@
 """Reading and writing block.toml; what is wrong in it is told with its line."""
 
+import functools
 import json
+import math
 import re
 import tomllib
 from dataclasses import dataclass
@@ -10,13 +12,17 @@ from typing import Any
 from pydantic import ValidationError
 from pydantic_core import ErrorDetails
 
+from jaxbundle.block.problems import is_hidden, shown
 from jaxbundle.geometry.rotation import OMEGA_PHI_KAPPA, ROTATION_SYSTEMS, RotationSystem
-from jaxbundle.io.findings import Findings
-from jaxbundle.io.settings import SECTIONS, Settings, TableNames
+from jaxbundle.io.noted import Noted, listed
+from jaxbundle.io.settings import RADIANS, Settings, TableNames
+from jaxbundle.io.settings_words import OF_NAMES, in_words
 from jaxbundle.io.tables import read_text
 
 FILE = "block.toml"
-OF_NAMES = ("cameras", "navigation")  # sections of which each has a name
+LONGEST = 4_000_000  # characters: thousands of cameras
+MANY = 50  # problems of one block.toml that are told
+UNQUOTED = re.compile(r"([A-Za-z0-9_-]+)\s*=\s*([^\W\d][^\"'\[\]{}=#]*)")  # key = text without quotes
 BARE_KEY = re.compile(r"[A-Za-z0-9_-]+")
 
 
@@ -56,6 +62,11 @@ class BlockToml:
         return ROTATION_SYSTEMS.get(str(name), OMEGA_PHI_KAPPA)
 
     @property
+    def half_turn(self) -> float:
+        """Half a turn in the unit of the angles; that of degrees where the unit cannot be told."""
+        return math.pi / RADIANS[self.settings.units.angle if self.settings else "deg"]
+
+    @property
     def sigma(self) -> float | None:
         """Default standard deviation of the rays; None where it is not given."""
         return self.settings.sigma.image if self.settings and self.settings.sigma else None
@@ -65,45 +76,81 @@ class BlockToml:
         return _line(self.text, path)
 
 
-def read_block_toml(path: Path, findings: Findings) -> BlockToml:
+def read_block_toml(path: Path, noted: Noted) -> BlockToml:
     """block.toml at this path, all that is wrong in it noted."""
-    text = read_text(path, findings)
+    text = read_text(path, noted)
     if text is None:
         return BlockToml(None, {}, "")
-    try:
-        raw = tomllib.loads(text)
-    except tomllib.TOMLDecodeError as error:
-        place = re.search(r" \(at line (\d+), column \d+\)", str(error))
-        line = int(place[1]) if place else text.rstrip().count("\n") + 1
-        findings.add(path.name, line, f"no valid TOML: {str(error).split(' (at ')[0]}", "correct the line")
+    raw = _parsed(path.name, text, noted)
+    if raw is None:
         return BlockToml(None, {}, text)
+    for where in _hidden(raw):
+        what = f"{' '.join(map(shown, where))} has a character that is not visible"
+        noted.add(path.name, _line(text, where), what, "take it out")
     try:
         return BlockToml(Settings.model_validate(raw), raw, text)
     except ValidationError as error:
+        alike: dict[tuple, list[ErrorDetails]] = {}
         for detail in error.errors(include_url=False):
-            loc = tuple(str(part) for part in detail["loc"])
-            findings.add(path.name, _line(text, loc), *_in_words(detail, loc))
+            loc = detail["loc"]
+            named = loc[0] in OF_NAMES and len(loc) > 2  # the same in many sections
+            alike.setdefault((loc[0], loc[2:], detail["msg"]) if named else loc, []).append(detail)
+        for first, *others in list(alike.values())[:MANY]:
+            loc = tuple(str(part) for part in first["loc"])
+            what, cure = in_words(first, loc, path.parent)
+            also = f"; likewise {listed([str(other['loc'][1]) for other in others])}" if others else ""
+            noted.add(path.name, _line(text, loc), what + also, cure)
         return BlockToml(None, raw, text)
 
 
-def _in_words(error: ErrorDetails, loc: tuple[str, ...]) -> tuple[str, str]:
-    """A finding of pydantic as problem and cure."""
-    section = f"[{'.'.join(loc[: 2 if loc[0] in OF_NAMES else 1])}]"
-    where = " ".join((section, loc[-1]) if len(loc) > 1 else loc)
-    match error["type"]:
-        case "problem":
-            context = error.get("ctx", {})
-            return f"{section} {context['what']}", context["cure"]
-        case "missing":
-            return f"{where} is missing", "give it"
-        case "extra_forbidden":
-            known = (SECTIONS[loc[2] if len(loc) > 3 else loc[0]] if len(loc) > 1 else Settings).model_fields
-            return f"{where} is unknown", f"known here: {', '.join(known)}"
-        case "literal_error":
-            return f"{where} is {json.dumps(error['input'])}", f"give {error.get('ctx', {})['expected']}"
-        case "model_type" | "dict_type":
-            return f"{where} is no section", f"write it as [{'.'.join(loc)}] and its keys below"
-    return f"{where} is {error['input']!r}", error["msg"].replace("Input should", "it should")
+def _parsed(file: str, text: str, noted: Noted) -> dict[str, Any] | None:
+    """The content of block.toml; None and a note where it is not TOML."""
+    if len(text) > LONGEST:
+        noted.add(file, 0, f"the file has {len(text)} characters", "give a block.toml; rows belong in tables")
+        return None
+    try:
+        return tomllib.loads(text)
+    except RecursionError:
+        noted.add(file, 0, "brackets are nested too deeply", "close them")
+    except ValueError as error:  # TOMLDecodeError, and numbers with thousands of digits
+        place = re.search(r" \(at line (\d+), column \d+\)", str(error))
+        line = int(place[1]) if place else text.rstrip().count("\n") + 1
+        at = text.split("\n")[line - 1].strip()
+        cure = "correct the line"
+        if bare := UNQUOTED.fullmatch(at):
+            cure = f'put text in quotes: {bare[1]} = "{shown(bare[2])}"'
+        noted.add(file, line, f"no valid TOML: {shown(str(error).split(' (at ')[0])}: {shown(at)}", cure)
+    return None
+
+
+def _hidden(raw: dict[str, Any]) -> list[tuple[str, ...]]:
+    """Paths of keys and texts with characters that are not visible; `source` may have lines."""
+    found: list[tuple[str, ...]] = []
+    left: list[tuple[tuple[str, ...], Any]] = [((), raw)]
+    while left:
+        path, value = left.pop()
+        if isinstance(value, dict):
+            left += [((*path, key), inner) for key, inner in value.items()]
+            found += [(*path, key) for key in value if any(map(is_hidden, key))]
+        elif isinstance(value, list):
+            left += [(path, inner) for inner in value]
+        elif isinstance(value, str) and any(c not in "\n\t" or path != ("source",) for c in filter(is_hidden, value)):
+            found.append(path)
+    return found
+
+
+@functools.lru_cache(maxsize=4)
+def _paths(text: str) -> tuple[tuple[int, tuple[str, ...]], ...]:
+    """The lines of a text that open a section or give a key, with its path from the top."""
+    section: tuple[str, ...] = ()
+    found = []
+    for number, line in enumerate(text.split("\n"), 1):
+        opens, names = _path(line)
+        if opens:
+            section = names
+        if opens or names:
+            found.append((number, section if opens else (*section, *names)))
+    return tuple(found)
 
 
 def _path(line: str) -> tuple[bool, tuple[str, ...]]:
@@ -112,7 +159,7 @@ def _path(line: str) -> tuple[bool, tuple[str, ...]]:
     opens = line.startswith("[")
     try:
         nested = tomllib.loads(line if opens else line.partition("=")[0] + "= 0")
-    except tomllib.TOMLDecodeError:
+    except (ValueError, RecursionError):
         return False, ()
     names = []
     while isinstance(nested, dict) and nested:
@@ -123,14 +170,9 @@ def _path(line: str) -> tuple[bool, tuple[str, ...]]:
 
 def _line(text: str, path: tuple[str, ...]) -> int:
     """Line of the longest part of a path that the text names; 0 where it names none."""
-    section: tuple[str, ...] = ()
     best, found = 0, 0
-    for number, line in enumerate(text.split("\n"), 1):
-        opens, names = _path(line)
-        if opens:
-            section = names
-        here = section if opens else (*section, *names)
-        if (opens or names) and len(here) > best and here == path[: len(here)]:
+    for number, here in _paths(text):
+        if len(here) > best and here == path[: len(here)]:
             best, found = len(here), number
     return found
 

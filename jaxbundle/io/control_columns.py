@@ -8,7 +8,9 @@ category       how well the point is identified on an image: [identification] gi
 import numpy as np
 from jaxtyping import Bool, Float, Int
 
+from jaxbundle.block.problems import shown
 from jaxbundle.io.block_toml import FILE, BlockToml
+from jaxbundle.io.ranges import LARGEST_COVARIANCE
 from jaxbundle.io.tables import Table
 
 COVARIANCES = ("cXY", "cXZ", "cYZ")
@@ -20,22 +22,22 @@ def covariances(
     table: Table, sigmas: Float[np.ndarray, "row 3"], observed: Bool[np.ndarray, "row 3"]
 ) -> Float[np.ndarray, "row 3 3"] | None:
     """Covariance matrices of the coordinates, 1 on the diagonal of what is not observed; None where none is given."""
-    given = table.numbers(*COVARIANCES)
+    given = table.numbers(*COVARIANCES, largest=LARGEST_COVARIANCE)
     if not np.isfinite(given).any():
         return None
     matrices = np.where(observed, sigmas, 1.0)[:, :, None] ** 2 * np.eye(3)
     for (a, b), column, values in zip(PLACES, COVARIANCES, given.T, strict=True):
         known = np.isfinite(values)
-        for row in np.flatnonzero(known & ~(observed[:, a] & observed[:, b])).tolist():
-            x, y = column[1:]
-            table.note(row, f"{column} is given, but not both sigmas of observed {x} and {y}", "give them, or drop it")
+        x, y = column[1:]
+        rows = np.flatnonzero(known & ~(observed[:, a] & observed[:, b]))
+        table.note(rows, f"{column} is given, but not both sigmas of observed {x} and {y}", "give them, or drop it")
         both = np.where(known & observed[:, a] & observed[:, b], values, 0.0)
         matrices[:, a, b] = matrices[:, b, a] = both
     scale = 1 / np.sqrt(np.diagonal(matrices, axis1=1, axis2=2))
     smallest = np.linalg.eigvalsh(scale[:, :, None] * matrices * scale[:, None, :])[:, 0]
-    for row in np.flatnonzero(smallest <= len(PLACES) * np.finfo(float).eps).tolist():
-        what = "the covariance matrix of its coordinates is not positive definite"
-        table.note(row, what, "each covariance must be smaller than the product of its two sigmas; correct them")
+    what = "the covariance matrix of its coordinates is not positive definite"
+    cure = "each covariance must be smaller than the product of its two sigmas; correct them"
+    table.note(np.flatnonzero(~(smallest > len(PLACES) * np.finfo(float).eps)), what, cure)
     return matrices
 
 
@@ -44,11 +46,16 @@ def identification(
 ) -> Float[np.ndarray, " point"]:
     """Standard deviation of the identification of each object point; 0 where its category is not given."""
     known = (toml.settings.identification if toml.settings else None) or {}
-    deviations = np.zeros(points)
-    for row, category in enumerate(table.column("category").to_list()):
+    deviations, unknown = np.zeros(points), []
+    categories = table.column("category").to_list()
+    for row, category in enumerate(categories):
         if category in known and point[row] >= 0:
             deviations[point[row]] = known[category]
         elif category and category not in known and toml.settings is not None:
-            what = f"category '{category}' is not in [identification] of {FILE}"
-            table.note(row, what, "give its standard deviation there, correct the name or leave it empty")
+            unknown.append(row)
+    table.note(
+        unknown,
+        lambda row: f"category '{shown(categories[row])}' is not in [identification] of {FILE}",
+        "give its standard deviation there, correct the name or leave it empty",
+    )
     return deviations

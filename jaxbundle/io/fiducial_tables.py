@@ -6,12 +6,14 @@ from dataclasses import dataclass
 import numpy as np
 from jaxtyping import Float, Int
 
+from jaxbundle.block.problems import shown
 from jaxbundle.camera.fiducials import PARAMETERS, FiducialError, InnerOrientation, inner_orientation, transformed
 from jaxbundle.io.block_toml import FILE, BlockToml
-from jaxbundle.io.findings import Findings
 from jaxbundle.io.folder_tables import FIDUCIAL_TABLES, FolderTables, ImageRows, RayRows
+from jaxbundle.io.noted import Noted
+from jaxbundle.io.ranges import LARGEST_IMAGE_COORDINATE
 from jaxbundle.io.settings import CameraSection
-from jaxbundle.io.tables import Table
+from jaxbundle.io.tables import GIVE, Table
 
 Coordinates = Float[np.ndarray, "2"]
 
@@ -27,18 +29,18 @@ class _Measured:
     calibrated: Float[np.ndarray, "row 2"]
 
 
-def with_inner_orientations(tables: FolderTables, toml: BlockToml, findings: Findings) -> FolderTables:
+def with_inner_orientations(tables: FolderTables, toml: BlockToml, noted: Noted) -> FolderTables:
     """The tables with the rays of scanned film in mm, and the fits; all that is wrong with fiducials is noted."""
     transformations = _transformations(toml)
     missing = [kind for kind in FIDUCIAL_TABLES if kind not in toml.tables]
     for camera in transformations if missing else ():
         what = f"[cameras.{camera}] fiducials need the table {' and the table '.join(missing)}"
-        findings.add(FILE, toml.line("cameras", camera, "fiducials"), what, "name it in [tables], or drop fiducials")
+        noted.add(FILE, toml.line("cameras", camera, "fiducials"), what, "name it in [tables], or drop fiducials")
     if tables.fiducials is None or tables.fiducial_rays is None:
         return tables
     calibrated = _calibrated(tables.fiducials, toml)
     measured = _measured(tables.fiducial_rays, tables.fiducials.file, tables.images, toml, calibrated)
-    fits = _fits(measured, tables.images, transformations, findings)
+    fits = _fits(measured, tables.images, transformations, noted)
     if toml.settings is None or not fits:
         return tables
     rays = _rays_in_mm(tables.rays, fits, tables.images, toml.settings.cameras)
@@ -68,7 +70,7 @@ def _calibrated(table: Table, toml: BlockToml) -> dict[tuple[str, str], Coordina
             what = f"camera {camera} has no fiducials in {FILE}"
             table.note(cameras.index(camera), what, 'give it fiducials = "affine" there, or drop its rows')
     table.unique("camera", "fiducial")
-    coordinates = table.numbers("x", "y", needed=True)
+    coordinates = table.numbers("x", "y", needed=GIVE, largest=LARGEST_IMAGE_COORDINATE)
     return dict(zip(zip(cameras, fiducials.to_list(), strict=True), coordinates, strict=True))
 
 
@@ -83,21 +85,24 @@ def _measured(
     image = table.positions("image", images.names, images.table.file)
     fiducials = table.names("fiducial").to_list()
     table.unique("image", "fiducial")
-    scan = table.numbers("x", "y", needed=True)
+    scan = table.numbers("x", "y", needed=GIVE, largest=LARGEST_IMAGE_COORDINATE)
     target = np.full_like(scan, np.nan)
+    missing: dict[tuple[str, str], list[int]] = {}
     for row in np.flatnonzero(image >= 0).tolist():
         camera, fiducial = images.camera[image[row]], fiducials[row]
         if (camera, fiducial) in calibrated:
             target[row] = calibrated[camera, fiducial]
         elif fiducial and camera in (toml.camera_names or ()):
-            what = f"camera {camera} has no fiducial {fiducial} in {calibrated_file}"
-            table.note(row, what, "add it there, correct the name or drop the row")
+            missing.setdefault((camera, fiducial), []).append(row)
+    for (camera, fiducial), rows in missing.items():
+        what = f"camera {camera} has no fiducial {shown(fiducial)} in {calibrated_file}"
+        table.note(rows, what, "add it there, correct the name or drop the row")
     rows = np.flatnonzero(np.isfinite(scan).all(1) & np.isfinite(target).all(1))
     return _Measured(table, rows, image[rows], scan[rows], target[rows])
 
 
 def _fits(
-    measured: _Measured, images: ImageRows, transformations: dict[str, str], findings: Findings
+    measured: _Measured, images: ImageRows, transformations: dict[str, str], noted: Noted
 ) -> dict[int, InnerOrientation]:
     """The inner orientation of each image whose camera has fiducials; what does not determine one is noted.
 
@@ -117,9 +122,9 @@ def _fits(
                 image, transformations[camera], names, measured.scan[members], measured.calibrated[members]
             )
         except FiducialError as error:
-            if findings.touched.isdisjoint((image, camera)):
+            if noted.touched.isdisjoint((image, camera)):
                 table, row = (measured.table, measured.row[members[0]]) if len(members) else (images.table, i)
-                findings.add(table.file, int(table.lines[row]), error.what, error.cure, [image])
+                noted.add(table.file, int(table.lines[row]), error.what, error.cure, [image])
     return fits
 
 

@@ -12,7 +12,9 @@ from dataclasses import dataclass
 import numpy as np
 from jaxtyping import Float, Int
 
+from jaxbundle.block.problems import shown
 from jaxbundle.io.block_toml import FILE, BlockToml
+from jaxbundle.io.ranges import LARGEST_TIME
 from jaxbundle.io.settings import OF_ATTITUDES, OF_STATIONS, NavigationSection
 from jaxbundle.io.tables import Table
 
@@ -51,7 +53,7 @@ def navigation(tables: Mapping[str, Table], toml: BlockToml) -> Navigation:
     names = toml.navigation_names
     given = {kind: tables[kind] for kind in KINDS if kind in tables}
     group = {kind: _groups(table, names) for kind, table in given.items()}
-    times = {kind: table.numbers("time")[:, 0] for kind, table in given.items()}
+    times = {kind: table.numbers("time", largest=LARGEST_TIME)[:, 0] for kind, table in given.items()}
     origin = np.zeros(len(names))
     for k in range(len(names)):
         together = np.concatenate([np.zeros(0), *(times[kind][group[kind] == k] for kind in given)])
@@ -70,10 +72,13 @@ def _groups(table: Table, names: tuple[str, ...]) -> Int[np.ndarray, " row"]:
     """The number of each row's group; a name that block.toml does not have is noted."""
     wanted = table.column("group").to_list()
     number = {name: k for k, name in enumerate(names)}
+    unknown: dict[str, list[int]] = {}
     for row, name in enumerate(wanted):
         if name and name not in number:
-            cure = f"add [navigation.{name}] there, correct the name or leave it empty"
-            table.note(row, f"group {name} is not in {FILE}", cure)
+            unknown.setdefault(name, []).append(row)
+    for name, rows in unknown.items():
+        cure = f"add [navigation.{shown(name)}] there, correct the name or leave it empty"
+        table.note(rows, f"group {shown(name)} is not in {FILE}", cure)
     return np.array([number.get(name, -1) for name in wanted], int)
 
 

@@ -120,8 +120,11 @@ def _pairs(found: Found, kind: str, rows: PairRows, tables: FolderTables, settin
 def _plumb_lines(found: Found, kind: str, rows: FigureRows, unit: str) -> None:
     """Every point against the first one of its line."""
     pairs, sigmas = [], []
-    for k in range(len(rows.figures)):
-        first, *others = np.flatnonzero(rows.usable & (rows.figure == k)).tolist() or [-1]
+    usable = np.flatnonzero(rows.usable)
+    order = usable[np.argsort(rows.figure[usable], kind="stable")]
+    starts = np.flatnonzero(np.diff(rows.figure[order], prepend=-1))
+    for members in np.split(order, starts[1:]) if len(order) else ():
+        first, *others = members.tolist()
         pairs += [(rows.point[first], rows.point[row]) for row in others]
         sigmas += [rows.sigmas[row] for row in others]
     if pairs:

@@ -18,8 +18,11 @@ import numpy as np
 import polars as pl
 from jaxtyping import Bool, Float, Int
 
-from jaxbundle.io.findings import Findings
-from jaxbundle.io.tables import Table, listed, positions_of
+from jaxbundle.block.geodetic import ANGLES
+from jaxbundle.block.problems import shown
+from jaxbundle.io.noted import Noted, listed
+from jaxbundle.io.ranges import LARGEST_LENGTH, largest_angle
+from jaxbundle.io.tables import GIVE, Table, near, positions_of, where
 
 IMAGE = "image:"  # before the name of an image in `from` and `to`
 PAIRS = {  # table: the column of the value, what a row is called
@@ -124,18 +127,19 @@ def points_named(tables: Mapping[str, Table]) -> Iterable[str]:
 def pair_rows(kind: str, table: Table, entities: Entities, bars: BarRows | None, bars_file: str) -> PairRows:
     """A table of observations between two ends."""
     ends = [_end(table, column, entities) for column in ("from", "to")]
-    for row in ((table.text["from"] == table.text["to"]) & (table.text["from"] != "")).arg_true():
-        table.note(row, "both ends are the same", "correct one of them or drop the row")
+    alike = where((table.text["from"] == table.text["to"]) & (table.text["from"] != ""))
+    table.note(alike, "both ends are the same", "correct one of them or drop the row")
     column, called = PAIRS[kind]
-    values = table.numbers(column, needed=True) if column else np.zeros((len(table.lines), 1))
+    largest = largest_angle(entities.half_turn) if kind in ANGLES else LARGEST_LENGTH
+    values = table.numbers(column, needed=GIVE, largest=largest) if column else np.zeros((len(table.lines), 1))
     if kind in POSITIVE:
-        for row in np.flatnonzero(values[:, 0] <= 0).tolist():
-            table.note(row, f"the {called} is not positive", "give a positive one or drop the row")
+        what = f"the {called} is not positive"
+        table.note(np.flatnonzero(values[:, 0] <= 0), what, "give a positive one or drop the row")
     if kind == "zenith_angles":
-        for row in np.flatnonzero((values[:, 0] <= 0) | (values[:, 0] >= entities.half_turn)).tolist():
-            what = f"the zenith angle is not between 0 and {entities.half_turn:g}"
-            table.note(row, what, "reduce it to the first face, or drop the row")
-    sigmas = table.sigmas("sigma", zero="give a positive one", needed=True)
+        outside = np.flatnonzero((values[:, 0] <= 0) | (values[:, 0] >= entities.half_turn))
+        what = f"the zenith angle is not between 0 and {entities.half_turn:g}"
+        table.note(outside, what, "reduce it to the first face, or drop the row")
+    sigmas = table.sigmas("sigma", zero="give a positive one", needed=GIVE)
     is_image, indices = (np.stack(part, 1) for part in zip(*ends, strict=True))
     order = np.lexsort((is_image[:, 1], is_image[:, 0]))  # stable: points before images
     owner, owners = np.zeros(len(table.lines), int), ()
@@ -154,13 +158,21 @@ def _end(table: Table, column: str, entities: Entities) -> tuple[Bool[np.ndarray
     is_image = names.str.starts_with(IMAGE)
     images = positions_of(names.str.strip_prefix(IMAGE), entities.images)
     positions = np.where(is_image.to_numpy(), images, positions_of(names, entities.points))
-    for row in (pl.Series(positions < 0) & (names != "")).arg_true():
-        if is_image[row]:
-            cure = f"add it there, correct the name behind '{IMAGE}' or drop the row"
-            table.note(row, f"{column} {names[row]} is not in {entities.images_file}", cure)
-        else:
-            table.note(row, f"{column} {names[row]} is on no image and has no coordinates", UNKNOWN_POINT)
+    missing = pl.Series(positions < 0) & (names != "")
+    cure = f"add it there, correct the name behind '{IMAGE}' or drop the row"
+    lost = where(missing & is_image)
+    table.note(lost, lambda row: f"{column} {shown(names[row])} is not in {entities.images_file}", cure)
+    _unknown_points(table, where(missing & ~is_image), names, f"{column} ", entities.points)
     return is_image.to_numpy(), positions
+
+
+def _unknown_points(
+    table: Table, rows: Int[np.ndarray, " row"], names: pl.Series, called: str, points: Sequence[str]
+) -> None:
+    """Notes names of points that are on no image and have no coordinates."""
+    match = near(names.gather(rows).unique(maintain_order=True).to_list(), points)
+    cure = f"{match} {UNKNOWN_POINT}" if match else UNKNOWN_POINT
+    table.note(rows, lambda row: f"{called}{shown(names[row])} is on no image and has no coordinates", cure)
 
 
 def _numbered(names: pl.Series, order: Int[np.ndarray, " row"]) -> tuple[Int[np.ndarray, " row"], tuple[str, ...]]:
@@ -172,41 +184,49 @@ def _numbered(names: pl.Series, order: Int[np.ndarray, " row"]) -> tuple[Int[np.
 
 def _one_station_a_set(table: Table, sets: Sequence[str]) -> None:
     first: dict[str, tuple[str, int]] = {}
+    wrong: list[int] = []
     rows = zip(table.text["set"], table.text["from"], table.lines.tolist(), strict=True)
     for row, (name, station, line) in enumerate(rows):
-        stands, at = first.setdefault(name, (station, line))
+        stands, _ = first.setdefault(name, (station, line))
         if name in sets and stands != station and "" not in (stands, station):
-            table.note(row, f"set {name} was observed from {stands} (line {at})", "give it a set of its own")
+            wrong.append(row)
+
+    def words(row: int) -> str:
+        name = table.text["set"][row]
+        return f"set {shown(name)} was observed from {shown(first[name][0])} (line {first[name][1]})"
+
+    table.note(wrong, words, "give it a set of its own")
 
 
 def bar_rows(table: Table) -> BarRows:
     """The lengths of scale bars."""
     names = table.names("bar")
     table.unique("bar")
-    lengths = table.numbers("length", needed=True)[:, 0]
-    for row in np.flatnonzero(lengths <= 0).tolist():
-        table.note(row, "the length is not positive", "give a positive one, approximate where sigma is empty")
+    lengths = table.numbers("length", needed=GIVE)[:, 0]
+    cure = "give a positive one, approximate where sigma is empty"
+    table.note(np.flatnonzero(lengths <= 0), "the length is not positive", cure)
     return BarRows(table, tuple(names), lengths, table.sigmas("sigma")[:, 0])
 
 
-def figure_rows(kind: str, table: Table, points: Sequence[str], findings: Findings) -> FigureRows:
+def figure_rows(kind: str, table: Table, points: Sequence[str], noted: Noted) -> FigureRows:
     """A table of points on plumb lines, planes or lines."""
     column, fewest = FIGURES[kind]
     names, wanted = table.names(column), table.names("point")
     table.unique(column, "point")
     point = positions_of(wanted, points)
-    for row in (pl.Series(point < 0) & (wanted != "")).arg_true():
-        table.note(row, f"point {wanted[row]} is on no image and has no coordinates", UNKNOWN_POINT)
+    _unknown_points(table, where(pl.Series(point < 0) & (wanted != "")), wanted, "point ", points)
     figure, figures = _numbered(names, np.arange(len(names)))
     sigmas = table.sigmas("sigma", zero="give a positive one")[:, 0]
-    first = np.array([int(np.argmax(figure == k)) for k in range(len(figures))], int)
-    for row in np.flatnonzero(np.isnan(sigmas) & (table.text["sigma"] == "").to_numpy()).tolist():
-        if kind != "plumb_lines" or row not in first:
-            table.note(row, "sigma is not given", "give a number or drop the row")
+    named = np.flatnonzero(figure >= 0)
+    first = named[np.unique(figure[named], return_index=True)[1]]
+    no_sigma = np.flatnonzero(np.isnan(sigmas) & (table.text["sigma"] == "").to_numpy())
+    table.note(np.setdiff1d(no_sigma, first) if kind == "plumb_lines" else no_sigma, "sigma is not given", GIVE)
     count = np.bincount(figure[figure >= 0], minlength=len(figures))
-    for k in np.flatnonzero(count < fewest).tolist():
-        what = f"{kind.removesuffix('s').replace('_', ' ')} {figures[k]} has {count[k]} of the {fewest} points it needs"
-        findings.add(table.file, int(table.lines[first[k]]), what, "name more of its points or drop it")
+    few = np.flatnonzero(count < fewest)
+    if len(few):
+        called, k = kind.removesuffix("s").replace("_", " "), few[0]
+        what = f"{called} {shown(figures[k])} has {count[k]} of the {fewest} points it needs"
+        noted.add_rows(table.file, table.lines[first[few]], what, "name more of its points or drop it")
     return FigureRows(table, figure, figures, point, sigmas)
 
 

@@ -4,31 +4,43 @@ import math
 from typing import Annotated, Any, Literal, TypeVar
 
 from pydantic import BaseModel, ConfigDict, Field, field_validator
-from pydantic_core import PydanticCustomError
 
+from jaxbundle.block.problems import shown
 from jaxbundle.camera.additional_parameters import GRID_SHARE
 from jaxbundle.camera.corrections import curvature_coefficient, refraction_coefficient, with_corrections
 from jaxbundle.camera.fiducials import PARAMETERS
 from jaxbundle.camera.model import CameraModel
 from jaxbundle.camera.registry import CAMERA_MODELS
 from jaxbundle.geometry.rotation import ROTATION_SYSTEMS
+from jaxbundle.io.near_names import nearest
+from jaxbundle.io.setting_types import (
+    AnyCase,
+    Coefficient,
+    Length,
+    NotBoolean,
+    Pair,
+    Pixels,
+    PixelSize,
+    PrincipalDistance,
+    Prior,
+    Sigma,
+    Triple,
+    problem,
+)
 
 RADIANS = {"deg": math.pi / 180, "gon": math.pi / 200, "rad": 1.0}
 WITH_KEYS = ("principal_distance", "x0", "y0", "pixel_size", "y_axis")  # interior elements that are no coefficients
 OF_STATIONS = ("lever_arm", "shift", "drift")
 OF_ATTITUDES = ("boresight", "attitude_shift", "attitude_drift")
 DATUMS = ("fixed", "minimal", "inner")
+OTHER_NAMES = {  # of interior elements in other programs
+    **dict.fromkeys(("f", "fx", "fy", "c", "focal", "focal_length"), "principal_distance"),
+    **dict.fromkeys(("cx", "ppx", "u0", "xp"), "x0"),
+    **dict.fromkeys(("cy", "ppy", "v0", "yp"), "y0"),
+}
 LARGEST = {"refraction": 1e-3, "earth_curvature": 0.01}  # several times what any flight has: more is another unit
 
-Positive = Annotated[float, Field(gt=0)]
-Pixels = Annotated[int, Field(gt=0)]
-Pair = Annotated[list[float], Field(min_length=2, max_length=2)]
-Triple = Annotated[list[float], Field(min_length=3, max_length=3)]
 Names = TypeVar("Names", dict[str, float], list[str])
-
-
-def _problem(what: str, cure: str) -> PydanticCustomError:
-    return PydanticCustomError("problem", "{what}; {cure}", {"what": what, "cure": cure})
 
 
 def coefficient_names(model: CameraModel) -> tuple[str, ...]:
@@ -45,20 +57,20 @@ class Section(BaseModel):
 class Units(Section):
     """Units of object coordinates and angles."""
 
-    object: Literal["m", "mm"]
-    angle: Literal["deg", "gon", "rad"]
+    object: Annotated[Literal["m", "mm"], AnyCase]
+    angle: Annotated[Literal["deg", "gon", "rad"], AnyCase]
 
 
 class RotationSection(Section):
     """The system of the three angles of images.csv."""
 
-    system: str
+    system: Annotated[str, AnyCase]
 
     @field_validator("system")
     @classmethod
     def _known(cls, system: str) -> str:
         if system not in ROTATION_SYSTEMS:
-            raise _problem(f"rotation system '{system}' is unknown", f"known: {', '.join(ROTATION_SYSTEMS)}")
+            raise problem(f"rotation system '{shown(system)}' is unknown", f"known: {', '.join(ROTATION_SYSTEMS)}")
         return system
 
 
@@ -68,8 +80,8 @@ class Corrections(Section):
     The coefficients are K in rad and H / 2R (camera/corrections.py).
     """
 
-    flying_height: float | None = None
-    ground_height: float | None = None
+    flying_height: Length | None = None
+    ground_height: Length | None = None
     refraction: Any = False
     earth_curvature: Annotated[Any, Field(validate_default=True)] = False
 
@@ -86,17 +98,17 @@ class Corrections(Section):
     def _sensible(cls, value: Any, info: Any) -> bool | float:
         name, given = info.field_name, info.data
         if not isinstance(value, bool | int | float) or not 0 <= value <= (value is True or LARGEST[name]):
-            raise _problem(f"{name} is {value!r}", f"give true, false or a coefficient from 0 to {LARGEST[name]}")
+            raise problem(f"{name} is {value!r}", f"give true, false or a coefficient from 0 to {LARGEST[name]}")
         if value is True and {"flying_height", "ground_height"} <= given.keys():
             if given["flying_height"] is None or given["ground_height"] is None:
                 cure = "give flying_height and ground_height in m above sea level"
-                raise _problem(f"{name} = true needs the heights of the flight and of the ground", cure)
+                raise problem(f"{name} = true needs the heights of the flight and of the ground", cure)
             try:
                 refraction_coefficient(given["flying_height"], given["ground_height"])
             except ValueError as error:
-                raise _problem(f"{name}: {error}", "give both heights in m above sea level") from None
+                raise problem(f"{name}: {error}", "give both heights in m above sea level") from None
         if name == "earth_curvature" and value is False and given.get("refraction") is False:
-            raise _problem("corrections are neither refraction nor earth_curvature", "say which = true, or drop them")
+            raise problem("corrections are neither refraction nor earth_curvature", "say which = true, or drop them")
         return value
 
 
@@ -106,16 +118,16 @@ class CameraSection(Section):
     With fiducials both are in mm, in their system, and `pixel_size` is that of the scan.
     """
 
-    image_unit: Literal["px", "mm"]
-    pixel_size: Positive | None = None
+    image_unit: Annotated[Literal["px", "mm"], AnyCase]
+    pixel_size: PixelSize | None = None
     width: Pixels | None = None
     height: Pixels | None = None
-    principal_distance: Positive
+    principal_distance: PrincipalDistance
     principal_point: Pair | None = None
     distortion: Annotated[str, Field(validate_default=True)] = "none"
-    coefficients: Annotated[dict[str, float], Field(validate_default=True)] = {}
+    coefficients: Annotated[dict[str, Coefficient], Field(validate_default=True)] = {}
     estimate: list[str] = []
-    priors: dict[str, Positive] | None = None
+    priors: dict[str, Prior] | None = None
     corrections: Corrections | None = None
     fiducials: str | None = None
 
@@ -134,20 +146,20 @@ class CameraSection(Section):
     @classmethod
     def _of_pixels(cls, size: float | None, info: Any) -> float | None:
         if size is not None and info.data.get("image_unit") == "mm":
-            raise _problem("rays in mm have no pixel_size", 'drop it, or give the rays in px and image_unit = "px"')
+            raise problem("rays in mm have no pixel_size", 'drop it, or give the rays in px and image_unit = "px"')
         return size
 
     @field_validator("distortion")
     @classmethod
     def _known_and_complete(cls, name: str, info: Any) -> str:
         if name not in CAMERA_MODELS:
-            raise _problem(f"distortion '{name}' is unknown", f"known: {', '.join(CAMERA_MODELS)}")
+            raise problem(f"distortion '{shown(name)}' is unknown", f"known: {', '.join(CAMERA_MODELS)}")
         elements = CAMERA_MODELS[name].elements
         if "x0" in elements and info.data.get("principal_point", ...) is None:
-            raise _problem("principal_point is missing", "give principal_point = [x0, y0] in the unit of the rays")
+            raise problem("principal_point is missing", "give principal_point = [x0, y0] in the unit of the rays")
         for key, element in (("principal_point", "x0"), ("pixel_size", "pixel_size")):
             if element not in elements and info.data.get(key) is not None:
-                raise _problem(f"distortion '{name}' has no {key}", "drop it")
+                raise problem(f"distortion '{name}' has no {key}", "drop it")
         return name
 
     @field_validator("coefficients")
@@ -177,35 +189,47 @@ class CameraSection(Section):
         if name is None:
             return name
         if name not in PARAMETERS:
-            raise _problem(f"fiducials '{name}' are unknown", f"known: {', '.join(PARAMETERS)}")
+            raise problem(f"fiducials '{shown(name)}' are unknown", f"known: {', '.join(PARAMETERS)}")
         if given.get("image_unit") == "mm":
-            raise _problem("rays in mm need no fiducials", 'drop them, or give the rays in px and image_unit = "px"')
+            raise problem("rays in mm need no fiducials", 'drop them, or give the rays in px and image_unit = "px"')
         if model and "pixel_size" not in model.elements:
-            raise _problem(f"distortion '{model.name}' is for rays in px, which fiducials bring to mm", "use another")
+            raise problem(f"distortion '{model.name}' is for rays in px, which fiducials bring to mm", "use another")
         if given.get("pixel_size", ...) is None:
-            raise _problem("fiducials need pixel_size", "give the nominal pixel of the scan in mm")
+            raise problem("fiducials need pixel_size", "give the nominal pixel of the scan in mm")
         return name
 
 
 def _with_grid_base(values: dict[str, float], given: dict[str, Any]) -> dict[str, float]:
     """The coefficients with a grid_base, from the image format where it is known in the unit of the coefficients."""
     if values.get("grid_base", 1.0) <= 0:
-        raise _problem(f"grid_base is {values['grid_base']}", "give a positive one")
+        raise problem(f"grid_base is {values['grid_base']}", "give a positive one")
     if "grid_base" in values or not {"image_unit", "pixel_size", "width", "height"} <= given.keys():
         return values
     sides = given["width"], given["height"]
     if None in sides or given["image_unit"] == "mm":
         what = f"distortion '{given['distortion']}' needs grid_base"
-        raise _problem(what, f"give it with the coefficients: {GRID_SHARE} of the longer side of the image is usual")
+        raise problem(what, f"give it with the coefficients: {GRID_SHARE} of the longer side of the image is usual")
     return {**values, "grid_base": GRID_SHARE * max(sides) * (given["pixel_size"] or 1.0)}
 
 
 def _all_known(names: Names, known: tuple[str, ...], distortion: str, kind: str) -> Names:
     unknown = [name for name in names if name not in known]
     if unknown:
-        what = f"{kind} {', '.join(unknown)} is unknown to distortion '{distortion}'"
-        raise _problem(what, f"known: {', '.join(known) or 'none'}")
+        what = f"{kind} {', '.join(map(shown, unknown))} is unknown to distortion '{distortion}'"
+        meant = {name: _meant(name, known) for name in unknown}
+        renamed = [f"{ours} for {shown(theirs)}" for theirs, ours in meant.items() if ours]
+        did = f"did you mean {', '.join(renamed)}? " if renamed else ""
+        raise problem(what, f"{did}known: {', '.join(known) or 'none'}")
     return names
+
+
+def _meant(name: str, known: tuple[str, ...]) -> str:
+    """The known element that another program calls so, or that differs in case alone; "" where there is none."""
+    other = OTHER_NAMES.get(name, "")
+    if other in known:
+        return other
+    match = nearest([name], known)
+    return match.pairs[name] if match else ""
 
 
 def _all_estimated(values: dict[str, float] | None, estimate: list[str] | None) -> dict[str, float] | None:
@@ -213,7 +237,7 @@ def _all_estimated(values: dict[str, float] | None, estimate: list[str] | None) 
     held = [name for name in values or () if estimate is not None and name not in estimate]
     if held:
         cure = "name it in estimate, or drop its prior"
-        raise _problem(f"{', '.join(held)} has a prior and is not estimated", cure)
+        raise problem(f"{', '.join(held)} has a prior and is not estimated", cure)
     return values
 
 
@@ -230,7 +254,7 @@ class NavigationSection(Section):
     attitude_shift: Triple | None = None
     attitude_drift: Triple | None = None
     estimate: list[str] = []
-    priors: dict[str, Positive] | None = None
+    priors: dict[str, Prior] | None = None
 
     @field_validator("estimate")
     @classmethod
@@ -238,7 +262,7 @@ class NavigationSection(Section):
         unknown = [name for name in names if name not in (*OF_STATIONS, *OF_ATTITUDES)]
         if unknown:
             cure = f"known: {', '.join((*OF_STATIONS, *OF_ATTITUDES))}"
-            raise _problem(f"what is to be estimated, {', '.join(unknown)}, is unknown", cure)
+            raise problem(f"what is to be estimated, {', '.join(unknown)}, is unknown", cure)
         return names
 
     @field_validator("priors")
@@ -247,10 +271,10 @@ class NavigationSection(Section):
         return _all_estimated(values, info.data.get("estimate"))
 
 
-class Sigma(Section):
+class SigmaSection(Section):
     """Standard deviation of rays that have none of their own, in their unit."""
 
-    image: Positive
+    image: Sigma
 
 
 class DatumSection(Section):
@@ -268,29 +292,39 @@ class DatumSection(Section):
     @classmethod
     def _known(cls, kind: str) -> str:
         if kind not in DATUMS:
-            raise _problem(f"datum '{kind}' is unknown", f"known: {', '.join(DATUMS)}")
+            raise problem(f"datum '{shown(kind)}' is unknown", f"known: {', '.join(DATUMS)}")
         return kind
 
     @field_validator("hold")
     @classmethod
     def _not_free(cls, held: dict[str, list[str]], info: Any) -> dict[str, list[str]]:
         if held and info.data.get("type") == "inner":
-            raise _problem("a free network holds nothing", 'drop hold, or give type = "fixed"')
+            raise problem("a free network holds nothing", 'drop hold, or give type = "fixed"')
         return held
+
+    @field_validator("points", "elements", mode="before")
+    @classmethod
+    def _list(cls, names: Any, info: Any) -> Any:
+        if isinstance(names, str):
+            cure = 'name points in brackets, points = ["101", "102", "103"]; without the key all object points carry it'
+            if info.field_name == "elements":
+                cure = 'give elements = ["translation", "rotation"], and "scale" where nothing else gives it'
+            raise problem(f"{info.field_name} is '{shown(names)}', not a list", cure)
+        return names
 
     @field_validator("points", "elements")
     @classmethod
     def _of_a_free_network(cls, names: list[str] | None, info: Any) -> list[str] | None:
         kind = info.data.get("type")
         if names is not None and kind is not None and kind != "inner":
-            raise _problem(f"datum '{kind}' has no {info.field_name}", 'drop it, or give type = "inner"')
+            raise problem(f"datum '{kind}' has no {info.field_name}", 'drop it, or give type = "inner"')
         return names
 
     @field_validator("points")
     @classmethod
     def _enough(cls, names: list[str] | None) -> list[str] | None:
         if names is not None and len(set(names)) < 3:
-            raise _problem(f"{len(set(names))} points cannot carry the inner constraints", "name 3 or more, or none")
+            raise problem(f"{len(set(names))} points cannot carry the inner constraints", "name 3 or more, or none")
         return names
 
     @field_validator("elements")
@@ -298,7 +332,7 @@ class DatumSection(Section):
     def _translation_and_rotation(cls, names: list[str] | None) -> list[str] | None:
         if names is not None and set(names) - {"scale"} != {"translation", "rotation"}:
             cure = 'give elements = ["translation", "rotation"], and "scale" where nothing else gives it'
-            raise _problem(f"elements are {', '.join(names) or 'none'}", cure)
+            raise problem(f"elements are {', '.join(names) or 'none'}", cure)
         return names
 
 
@@ -329,15 +363,15 @@ class TableNames(Section):
 class Settings(Section):
     """block.toml of format 1."""
 
-    format: Literal[1]
+    format: Annotated[Literal[1], NotBoolean]
     name: str = ""
     source: str = ""
     units: Units
     rotation: RotationSection
     cameras: Annotated[dict[str, CameraSection], Field(min_length=1)]
     navigation: dict[str, NavigationSection] | None = None
-    sigma: Sigma | None = None
-    identification: dict[str, Positive] | None = None
+    sigma: SigmaSection | None = None
+    identification: dict[str, Sigma] | None = None
     datum: DatumSection | None = None
     tables: TableNames
 
@@ -348,7 +382,7 @@ SECTIONS: dict[str, type[Section]] = {
     "cameras": CameraSection,
     "corrections": Corrections,
     "navigation": NavigationSection,
-    "sigma": Sigma,
+    "sigma": SigmaSection,
     "datum": DatumSection,
     "tables": TableNames,
 }

@@ -1,24 +1,44 @@
-"""CSV tables: UTF-8, comma-separated, one header line, decimal point; an empty field is not given.
+"""CSV tables: one header line, an empty field is not given.
 
-All fields are text until they are asked for as names or as numbers; what is wrong with them is noted in the user's
-words, with file and line.
+Fields are separated by commas, semicolons or tabs. Numbers have a decimal point, or a decimal comma where the fields
+are not separated by commas. All fields are text until they are asked for as names or as numbers; what is wrong with
+them is noted in the user's words, with file and line, one note for all rows of one cause.
 """
 
 import csv
 import io
-from collections.abc import Sequence
+from collections.abc import Callable, Sequence
 from dataclasses import dataclass
 from pathlib import Path
 
 import numpy as np
 import polars as pl
-from jaxtyping import Float, Int
+from jaxtyping import Bool, Float, Int
 
-from jaxbundle.io.findings import Findings
+from jaxbundle.block.problems import is_hidden, shown
+from jaxbundle.io.header import Header, read_header
+from jaxbundle.io.near_names import Match, nearest
+from jaxbundle.io.noted import Noted
+from jaxbundle.io.ranges import LARGEST_LENGTH, LARGEST_SIGMA, NOTHING, SMALLEST_SIGMA
+from jaxbundle.io.text import read_text
 
 Columns = dict[str, list[str] | Float[np.ndarray, " row"]]
+Words = str | Callable[[int], str]  # of a row, or of each row by its number
 
-LISTED = 10  # names in one sentence
+ROW = 120  # characters of a row in a message
+LISTED_UNKNOWN = 1000  # unknown names that are compared with the known ones: enough to see what they have in common
+GIVE = "give a number or drop the row"
+DECIMAL_COMMA = r"^[+-]?\d*,\d+(?:[eE][+-]?\d+)?$"
+THOUSANDS = (
+    r"^[+-]?(?:\d+(?:['\u2019\u00a0\u202f _]\d+)+(?:[.,]\d*)?"
+    r"|\d{1,3}(?:(?:\.\d{3})+,\d*|(?:,\d{3})+\.\d*|(?:[.,]\d{3}){2,}))$"
+)
+NOT_NOTHING = r"^[^eE]*[1-9]"  # a number with this is not 0
+NOT_A_NUMBER = (  # forms of what is no number, with their cures
+    (DECIMAL_COMMA, "a comma is read as decimal sign only where semicolons or tabs separate the fields; use a point"),
+    (THOUSANDS, "leave out the separators of thousands, and use a decimal point"),
+    ("", "give a number with a decimal point"),
+)
 
 
 @dataclass(frozen=True)
@@ -32,68 +52,151 @@ class Table:
     subject: str
     text: pl.DataFrame
     lines: Int[np.ndarray, " row"]
-    findings: Findings
+    noted: Noted
+    separator: str = ","
 
-    def note(self, row: int, what: str, cure: str) -> None:
-        """Notes what is wrong with a row."""
-        fields = self.text.row(row, named=True)
-        names = [fields[column] for column in fields if f"{{{column}}}" in self.subject]
-        self.findings.add(self.file, int(self.lines[row]), f"{self.subject.format(**fields)}: {what}", cure, names)
+    def note(self, rows: int | Sequence[int] | Int[np.ndarray, " row"], what: Words, cure: str) -> None:
+        """Notes what is wrong with one row, or with several for the same cause; nothing if there are none."""
+        rows = np.atleast_1d(np.asarray(rows, int))
+        if not len(rows):
+            return
+        first = int(rows[0])
+        fields = {column: shown(text) for column, text in self.text.row(first, named=True).items()}
+        named = [column for column in fields if f"{{{column}}}" in self.subject]
+        for column in named:
+            self.noted.touched.update(self.text[column].gather(rows).unique())
+        told = f"{self.subject.format(**fields)}: {what if isinstance(what, str) else what(first)}"
+        self.noted.add_rows(self.file, self.lines[rows], told, cure)
 
     def column(self, column: str) -> pl.Series:
         """A column as text; blank where the table does not have it."""
         return self.text[column] if column in self.text.columns else pl.Series([""] * len(self.lines))
 
     def names(self, column: str) -> pl.Series:
-        """A column of names; none may be blank."""
+        """A column of names; none may be blank or hold a character that is not visible."""
         names = self.text[column]
-        for row in _rows(names == ""):
-            self.note(row, f"the {column} has no name", "name it or drop the row")
+        self.note(where(names == ""), f"the {column} has no name", "name it or drop the row")
+        odd = [name for name in names.unique() if not name.isprintable() and any(map(is_hidden, name))]
+        if odd:
+            what = f"the {column} has a character that is not visible"
+            self.note(where(names.is_in(odd)), what, "take it out of the name")
         return names
 
     def positions(self, column: str, names: Sequence[str], file: str) -> Int[np.ndarray, " row"]:
         """Positions of a column's names among those that another file defines; -1 and a note where one is not there."""
         wanted = self.names(column)
         positions = positions_of(wanted, names)
-        for row in _rows(pl.Series(positions < 0) & (wanted != "")):
-            self.note(row, f"{column} {wanted[row]} is not in {file}", "add it there, correct the name or drop the row")
+        missing = (wanted != "") & pl.Series(positions < 0)
+        if missing.any() and self.noted.broken:
+            missing &= ~wanted.is_in(list(self.noted.broken))
+        rows = where(missing)
+        if len(rows):
+            match = nearest(wanted.gather(rows).unique(maintain_order=True).head(LISTED_UNKNOWN), names)
+            if match:
+                self.noted.touched.update(match.pairs.values())
+            known = "" if len(names) > 3 or match else f"known: {', '.join(map(shown, names))}; "
+            said = f"{match} " if match else known
+            cure = f"{said}add it there, correct the name or drop the row"
+            self.note(rows, lambda row: f"{column} {shown(wanted[row])} is not in {file}", cure)
         return positions
 
     def unique(self, *columns: str) -> None:
         """Notes every row that names the same as an earlier one."""
-        if self.text.select(columns).is_unique().all():
-            return
-        first: dict[tuple, int] = {}
-        for row, (line, key) in enumerate(zip(self.lines, self.text.select(columns).rows(), strict=True)):
-            if first.setdefault(key, int(line)) != line and "" not in key:
-                self.note(row, f"is already in line {first[key]}", "drop one of the two")
+        rows, first = self.repeated(*columns)
+        if len(rows):
+            line = self.lines[first[0]]
+            self.note(rows, f"is already in line {line}", "drop one of the two")
 
-    def numbers(self, *columns: str, needed: bool = False) -> Float[np.ndarray, "row column"]:
-        """Columns of numbers; NaN where a field is empty, which is noted where it is needed."""
-        values = np.empty((len(self.lines), len(columns)))
-        for k, column in enumerate(columns):
-            text = self.column(column)
-            given = text != ""
-            values[:, k] = text.cast(pl.Float64, strict=False).fill_null(np.nan).to_numpy()
-            for row in _rows(given & ~pl.Series(np.isfinite(values[:, k]))):
-                values[row, k] = np.nan
-                self.note(row, f"{column} is '{text[row]}', no finite number", "give a number with a decimal point")
-            for row in _rows(~given) if needed else ():
-                self.note(row, f"{column} is not given", "give a number or drop the row")
-        return values
+    def repeated(self, *columns: str) -> tuple[Int[np.ndarray, " row"], Int[np.ndarray, " row"]]:
+        """Rows that have the same in these columns as an earlier row, and their earlier rows."""
+        keys = self.text.select(columns).with_row_index("row")
+        if keys.select(columns).is_unique().all():
+            return np.zeros(0, int), np.zeros(0, int)
+        given = keys.filter(pl.all_horizontal(pl.col(columns) != ""))
+        first = given.with_columns(pl.col("row").first().over(columns).alias("first"))
+        again = first.filter(pl.col("row") != pl.col("first"))
+        return again["row"].to_numpy().astype(int), again["first"].to_numpy().astype(int)
 
-    def sigmas(self, *columns: str, zero: str = "", needed: bool = False) -> Float[np.ndarray, "row column"]:
+    def numbers(
+        self, *columns: str, needed: str = "", largest: float | Sequence[float] = LARGEST_LENGTH
+    ) -> Float[np.ndarray, "row column"]:
+        """Columns of numbers; NaN where a field is empty, and where it is no number of a possible size, which is noted.
+
+        `needed`: the cure of an empty field, "" where a field may be empty.
+        """
+        texts = [self._decimal_point(self.column(column), columns) for column in columns]
+        read = [text.cast(pl.Float64, strict=False).fill_null(np.nan).to_numpy() for text in texts]
+        values = np.stack(read, 1) if read else np.zeros((len(self.lines), 0))
+        given = np.stack([(text != "").to_numpy() for text in texts], 1)
+        self._note_unreadable(columns, given & ~np.isfinite(values))
+        size = np.abs(values)
+        nothing = size < NOTHING
+        if nothing.any():
+            nothing &= np.stack([text.str.contains(NOT_NOTHING).to_numpy() for text in texts], 1)
+        finite, limits = np.isfinite(values), np.broadcast_to(largest, len(columns))
+        large = finite & (size > limits)
+        self._note_fields(columns, large, [f"larger than {limit:g}" for limit in limits], "correct it, or its unit")
+        self._note_fields(columns, nothing, ["too small to be meant"] * len(columns), "give 0, or correct it")
+        finite &= ~large & ~nothing
+        if needed:
+            rows = np.flatnonzero(~given.all(1))
+            self.note(rows, lambda row: _not_given(columns, ~given[row]), needed)
+        return np.where(finite, values, np.nan)
+
+    def _decimal_point(self, text: pl.Series, columns: Sequence[str]) -> pl.Series:
+        """The text of numbers with decimal points, where commas are certain to be decimal ones."""
+        if self.separator == "," or not text.str.contains(",", literal=True).any():
+            return text
+        if any(self.column(column).str.contains(".", literal=True).any() for column in columns):
+            return text
+        return text.str.replace(",", ".", literal=True)
+
+    def _note_unreadable(self, columns: Sequence[str], wrong: Bool[np.ndarray, "row column"]) -> None:
+        """Notes fields that are not numbers, those of the same form together."""
+        left = wrong.copy()
+        for form, cure in NOT_A_NUMBER if wrong.any() else ():
+            alike = [self.column(column).str.contains(form).to_numpy() for column in columns]
+            of_form = left & np.stack(alike, 1)
+            self._note_fields(columns, of_form, ["not a finite number"] * len(columns), cure)
+            left &= ~of_form
+
+    def _note_fields(
+        self, columns: Sequence[str], wrong: Bool[np.ndarray, "row column"], what: Sequence[str], cure: str
+    ) -> None:
+        """Notes fields; `what`: for each column, what its field is."""
+
+        def words(row: int) -> str:
+            k = int(np.argmax(wrong[row]))
+            return f"{columns[k]} is '{shown(self.text[columns[k]][row])}', {what[k]}"
+
+        self.note(np.flatnonzero(wrong.any(1)), words, cure)
+
+    def sigmas(
+        self, *columns: str, zero: str = "", needed: str = "", largest: float = LARGEST_SIGMA
+    ) -> Float[np.ndarray, "row column"]:
         """Columns of standard deviations; `zero` tells the cure of a sigma that is 0, "" allows it."""
-        values = self.numbers(*columns, needed=needed)
-        for row, k in np.argwhere(values < 0).tolist():
-            self.note(row, f"the standard deviation {columns[k]} is negative", "give a positive one")
-        for row, k in np.argwhere(values == 0).tolist() if zero else ():
-            self.note(row, f"the standard deviation {columns[k]} is 0", zero)
-        return values
+        values = self.numbers(*columns, needed=needed, largest=largest)
+        small = (values > 0) & (values < SMALLEST_SIGMA)
+        for wrong, what, cure in (
+            (np.signbit(values) & ~np.isnan(values), "negative", "give a positive one"),
+            (small, f"smaller than {SMALLEST_SIGMA:g}", "correct it, or its unit"),
+            ((values == 0) & bool(zero), "0", zero),
+        ):
+            self.note(np.flatnonzero(wrong.any(1)), self._sigma_words(columns, wrong, what), cure)
+        return np.where(small, np.nan, values)
+
+    def _sigma_words(self, columns: Sequence[str], wrong: Bool[np.ndarray, "row column"], what: str) -> Words:
+        return lambda row: f"the standard deviation {columns[int(np.argmax(wrong[row]))]} is {what}"
 
 
-def _rows(mask: pl.Series) -> list[int]:
-    return mask.arg_true().to_list()
+def _not_given(columns: Sequence[str], missing: Bool[np.ndarray, " column"]) -> str:
+    names = [column for column, is_missing in zip(columns, missing, strict=True) if is_missing]
+    return f"{', '.join(names)} {'is' if len(names) == 1 else 'are'} not given"
+
+
+def where(mask: pl.Series) -> Int[np.ndarray, " row"]:
+    """Rows in which a mask is true."""
+    return mask.arg_true().to_numpy().astype(int)
 
 
 def positions_of(wanted: pl.Series, names: Sequence[str]) -> Int[np.ndarray, " row"]:
@@ -103,104 +206,94 @@ def positions_of(wanted: pl.Series, names: Sequence[str]) -> Int[np.ndarray, " r
     return found["position"].cast(pl.Int64).fill_null(-1).to_numpy()
 
 
-def listed(names: Sequence[str]) -> str:
-    """Names in one sentence, the first few of them if they are many."""
-    more = f" and {len(names) - LISTED} more" if len(names) > LISTED else ""
-    return ", ".join(names[:LISTED]) + more
+def near(unknown: Sequence[str], known: Sequence[str]) -> Match | None:
+    """How unknown names would be known, judged by the first of them."""
+    return nearest(unknown[:LISTED_UNKNOWN], known)
 
 
-def read_text(path: Path, findings: Findings) -> str | None:
-    """The text of a file; None and a note where there is none."""
-    findings.files.append(path.name)
-    if not path.is_file():
-        findings.add(
-            path.name, 0, "the file is missing", "add it to the folder, or drop what refers to it in block.toml"
-        )
-        return None
-    data = path.read_bytes()
-    try:
-        return data.decode("utf-8").removeprefix("\ufeff")
-    except UnicodeDecodeError as error:
-        line = data.count(b"\n", 0, error.start) + 1
-        findings.add(path.name, line, f"byte 0x{data[error.start]:02x} is not UTF-8", "save the file in UTF-8")
-        return None
-
-
-def read_table(
-    path: Path, subject: str, needed: Sequence[str], optional: Sequence[str], findings: Findings
-) -> Table | None:
+def read_table(path: Path, subject: str, needed: Sequence[str], optional: Sequence[str], noted: Noted) -> Table | None:
     """A table with these columns, in any order; None and notes where it cannot be read as one.
 
-    Rows with a wrong number of fields are noted and left out; empty lines are passed over.
+    Rows with a wrong number of fields are noted and left out; lines without any field are passed over.
     """
-    text = read_text(path, findings)
+    text = read_text(path, noted)
     if text is None:
         return None
     name = path.name
-    header = [field.strip() for field in next(csv.reader(text.split("\n", 1)[:1]), [])]
-    known = (*needed, *optional)
-    missing = [column for column in needed if column not in header]
-    unknown = [column for column in header if column not in known]
-    twice = sorted({column for column in header if header.count(column) > 1})
-    for columns, what, cure in (
-        (missing, "missing", "add it"),
-        (unknown, "unknown", f"rename it or drop it; known: {', '.join(known)}"),
-        (twice, "given twice", "drop one of the two"),
-    ):
-        for column in columns:
-            findings.add(name, 1, f"column '{column}' is {what}", cure)
-    if missing or unknown or twice:
+    if not text.strip():
+        noted.add(name, 0, "the file is empty", "fill it, or drop it and its entry in [tables]")
         return None
-    frame, lines = (_quoted if '"' in text else _plain)(name, text, header, findings)
+    header = read_header(name, text.split("\n", 1)[0], needed, optional, noted)
+    if header is None:
+        return None
+    frame, lines = (_quoted if '"' in text else _plain)(name, text, header, noted)
+    frame = frame.select(pl.all().fill_null("").str.strip_chars())
+    blank = frame.select(pl.all_horizontal(pl.all() == "")).to_series()
+    if blank.any():  # as spreadsheets append them
+        frame, lines = frame.filter(~blank), lines[~blank.to_numpy()]
     if not len(lines):
-        findings.add(name, 0, "the table has no rows", "fill it, or drop it and its entry in [tables]")
+        noted.add(name, 0, "the table has no rows", "fill it, or drop it and its entry in [tables]")
         return None
-    return Table(name, subject, frame.select(pl.all().fill_null("").str.strip_chars()), lines, findings)
+    return Table(name, subject, frame, lines, noted, header.separator)
 
 
-def _wrong_fields(file: str, line: int, fields: list[str], expected: int, findings: Findings) -> None:
-    what = f"the row '{','.join(fields).strip()}' has {len(fields)} fields, the header {expected}"
-    findings.add(file, line, what, "complete the row or drop it", [field.strip() for field in fields])
+def _wrong_fields(file: str, rows: list[tuple[int, list[str]]], header: Header, noted: Noted) -> None:
+    """Notes rows, given with their lines, that have another number of fields than the header."""
+    if rows:
+        fields = rows[0][1]
+        row = shown(header.separator.join(fields).strip(), ROW)
+        what = f"the row '{row}' has {len(fields)} fields, the header {len(header.columns)}"
+        noted.add_rows(file, [line for line, _ in rows], what, "complete the row or drop it")
+        noted.broken.update(field.strip() for _, fields in rows for field in fields)
+        noted.touched.update(noted.broken)
 
 
-def _plain(file: str, text: str, header: list[str], findings: Findings) -> tuple[pl.DataFrame, Int[np.ndarray, " row"]]:
-    """Rows of a table without quotes: lines with the right number of commas."""
-    data = text.rstrip().encode()
+def _plain(file: str, text: str, header: Header, noted: Noted) -> tuple[pl.DataFrame, Int[np.ndarray, " row"]]:
+    """Rows of a table without quotes: lines with the right number of separators."""
+    data = text.rstrip("\n ").encode()
     raw = np.frombuffer(data, np.uint8)
     ends = np.append(np.flatnonzero(raw == ord("\n")), len(raw))
     starts = np.append(0, ends[:-1] + 1)
-    commas = np.diff(np.searchsorted(np.flatnonzero(raw == ord(",")), ends), prepend=0)
-    right = commas == len(header) - 1
-    for line in np.flatnonzero(~right):
+    separators = np.diff(np.searchsorted(np.flatnonzero(raw == ord(header.separator)), ends), prepend=0)
+    right = separators == len(header.columns) - 1
+    wrong = []
+    for line in np.flatnonzero(~right).tolist():
         row = data[starts[line] : ends[line]].decode()
-        if row.strip():
-            _wrong_fields(file, int(line) + 1, row.split(","), len(header), findings)
+        if row.strip(f"{header.separator} \t"):
+            wrong.append((line + 1, row.split(header.separator)))
+    _wrong_fields(file, wrong, header, noted)
     right[0] = False  # the header
     lines = np.flatnonzero(right)
     if not len(lines):
-        return pl.DataFrame(schema=header), lines
+        return pl.DataFrame(schema=dict.fromkeys(header.columns, pl.String)), lines
     body = data[starts[1] :] if right[1:].all() else b"\n".join(data[starts[k] : ends[k]] for k in lines)
-    frame = pl.read_csv(io.BytesIO(body), has_header=False, new_columns=header, infer_schema=False, quote_char=None)
+    frame = pl.read_csv(
+        io.BytesIO(body),
+        has_header=False,
+        new_columns=header.columns,
+        infer_schema=False,
+        quote_char=None,
+        separator=header.separator,
+    )
     return frame, lines + 1
 
 
-def _quoted(
-    file: str, text: str, header: list[str], findings: Findings
-) -> tuple[pl.DataFrame, Int[np.ndarray, " row"]]:
+def _quoted(file: str, text: str, header: Header, noted: Noted) -> tuple[pl.DataFrame, Int[np.ndarray, " row"]]:
     """Rows of a table in which fields are quoted."""
-    reader = csv.reader(io.StringIO(text), strict=True, skipinitialspace=True)
-    rows, lines, line = [], [], 1
+    reader = csv.reader(io.StringIO(text), strict=True, skipinitialspace=True, delimiter=header.separator)
+    rows, lines, wrong, line = [], [], [], 1
     try:
         for row in reader:
-            if line > 1 and len(row) == len(header):
+            if line > 1 and len(row) == len(header.columns):
                 rows.append(row)
                 lines.append(line)
             elif line > 1 and "".join(row).strip():
-                _wrong_fields(file, line, row, len(header), findings)
+                wrong.append((line, row))
             line = reader.line_num + 1
     except csv.Error as error:
-        findings.add(file, line, f"the row cannot be read: {error}", "close its quotes")
-    schema = dict.fromkeys(header, pl.String)
+        noted.add(file, line, f"the row cannot be read: {error}", "close its quotes")
+    _wrong_fields(file, wrong, header, noted)
+    schema = dict.fromkeys(header.columns, pl.String)
     return pl.DataFrame(rows, schema=schema, orient="row"), np.array(lines, int)
 
 

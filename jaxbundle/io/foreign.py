@@ -1,0 +1,90 @@
+"""Well-known forms of blocks and files that are not read: they are recognised and called by their name."""
+
+import codecs
+from pathlib import Path
+
+from jaxbundle.io.text import known_bytes
+
+FOLDERS: tuple[tuple[str, tuple[str, ...]], ...] = (  # what it is, and files of which all are there
+    ("a COLMAP model", ("cameras.bin", "images.bin")),
+    ("a COLMAP model", ("cameras.txt", "images.txt")),
+    ("a COLMAP project", ("database.db",)),
+    ("a COLMAP project", ("sparse",)),
+    ("an OpenSfM reconstruction", ("reconstruction.json",)),
+    ("an OpenSfM project", ("camera_models.json",)),
+    ("an OpenDroneMap project", ("odm_orthophoto",)),
+    ("an OpenDroneMap project", ("opensfm",)),
+    ("an OpenMVG project", ("sfm_data.json",)),
+    ("an OpenMVG project", ("sfm_data.bin",)),
+    ("a Meshroom project", ("cameras.sfm",)),
+    ("an OPF project", ("project.opf",)),
+    ("a Bundler project", ("bundle.out",)),
+    ("a Bundler project", ("bundle", "list.txt")),
+)
+PATTERNS = (  # of files in a folder
+    ("*.psx", "a Metashape project"),
+    ("*.psz", "a Metashape project"),
+    ("*.p4d", "a Pix4D project"),
+    ("*_calibrated_camera_parameters.txt", "an export of Pix4D"),
+    ("*.rcproj", "a RealityCapture project"),
+    ("*.opf", "an OPF project"),
+    ("Ori-*", "a MicMac project"),
+    ("*.nvm", "a VisualSFM model"),
+    ("geoin.dat", "a BINGO project"),
+    ("*.prj", "an Inpho project"),
+    ("*.im", "a PATB project"),
+)
+SUFFIXES = {
+    ".psx": "a Metashape project",
+    ".psz": "a Metashape project",
+    ".p4d": "a Pix4D project",
+    ".rcproj": "a RealityCapture project",
+    ".opf": "an OPF project",
+    ".nvm": "a VisualSFM model",
+    ".prj": "an Inpho project",
+    ".pmr": "a PhotoModeler project",
+    ".las": "a point cloud (LAS)",
+    ".laz": "a point cloud (LAZ)",
+    ".ply": "a point cloud (PLY)",
+    ".db": "a database, perhaps of COLMAP",
+    ".sfm": "a Meshroom file",
+    ".tif": "a picture",
+    ".tiff": "a picture",
+    ".jpg": "a picture",
+    ".png": "a picture",
+    ".zip": "a zip archive",
+    ".xlsx": "a table of a spreadsheet program",
+    ".ods": "a table of a spreadsheet program",
+}
+BEGINNINGS = (  # text in the first bytes of a file
+    (b"# Bundle file", "a Bundler file"),
+    (b"NVM_V3", "a VisualSFM model"),
+    (b"# Camera list with one line of data per camera", "the cameras of a COLMAP model"),
+    (b"# Image list with two lines of data per image", "the images of a COLMAP model"),
+    (b"# 3D point list with one line of data per point", "the points of a COLMAP model"),
+    (b"$PROJECT", "an Inpho project"),
+    (b"<BlocksExchange", "a BlocksExchange file"),
+    (b"<chunk", "an export of Metashape"),
+    (b"<ExportAPERO", "a MicMac file"),
+    (b'"sfm_data_version"', "an OpenMVG file"),
+    (b'"cameras"', "an OpenSfM reconstruction"),
+)
+
+
+def known_folder(folder: Path) -> str:
+    """What a folder is, such as "a COLMAP model"; "" where it has no known form."""
+    for name, files in FOLDERS:
+        if all((folder / file).exists() for file in files):
+            return name
+    return next((name for pattern, name in PATTERNS if next(folder.glob(pattern), None)), "")
+
+
+def known_file(path: Path, head: bytes) -> str:
+    """What a file is that begins with `head`, as a statement such as "is compressed (gzip)"; "" if unknown."""
+    if head.startswith((codecs.BOM_UTF16_LE, codecs.BOM_UTF16_BE)):
+        return "is text in UTF-16"
+    said = known_bytes(head)
+    if said:
+        return said
+    name = next((name for begin, name in BEGINNINGS if begin in head), SUFFIXES.get(path.suffix.lower(), ""))
+    return f"is {name}" if name else ""

@@ -1,0 +1,152 @@
+"""The header line of a table: what separates the fields, which columns there are, and what is wrong with them."""
+
+import csv
+from collections import Counter
+from collections.abc import Sequence
+from typing import NamedTuple
+
+from jaxbundle.block.problems import shown
+from jaxbundle.io.noted import Noted, listed
+
+SEPARATORS = {",": "comma", ";": "semicolon", "\t": "tab"}
+OTHERS = {"|": "'|'", " ": "blanks", ":": "':'"}  # told, not read
+MANY = 100  # columns: several times what any table has
+SYNONYMS = {
+    "image": (
+        "photo",
+        "picture",
+        "img",
+        "foto",
+        "bild",
+        "file",
+        "filename",
+        "photoid",
+        "imageid",
+        "imagename",
+        "label",
+    ),
+    "camera": ("cam", "kamera", "cameraid", "sensor"),
+    "point": ("pt", "id", "name", "no", "nr", "number", "pointid", "pointname", "punkt", "gcp", "marker", "label"),
+    "X0": ("e", "easting", "east", "x", "xo", "xc", "longitude", "rechts"),
+    "Y0": ("n", "northing", "north", "y", "yo", "yc", "latitude", "hoch"),
+    "Z0": ("h", "height", "z", "zo", "zc", "alt", "altitude", "elevation", "up", "hoehe"),
+    "X": ("e", "easting", "east", "x0", "longitude", "rechts"),
+    "Y": ("n", "northing", "north", "y0", "latitude", "hoch"),
+    "Z": ("h", "height", "z0", "alt", "altitude", "elevation", "up", "hoehe"),
+    "x": ("u", "col", "column", "px", "xpx", "imagex", "xi"),
+    "y": ("v", "row", "line", "py", "ypx", "imagey", "eta"),
+    "sX": ("sigmax", "sdx", "stdx", "se", "sigmae", "stde", "accuracyx", "mx"),
+    "sY": ("sigmay", "sdy", "stdy", "sn", "sigman", "stdn", "accuracyy", "my"),
+    "sZ": ("sigmaz", "sdz", "stdz", "sh", "su", "sigmah", "stdh", "accuracyz", "mz"),
+    "sx": ("sigmax", "sdx", "stdx", "su", "sigmau"),
+    "sy": ("sigmay", "sdy", "stdy", "sv", "sigmav"),
+    "omega": ("roll", "om", "w"),
+    "phi": ("pitch", "ph", "p"),
+    "kappa": ("yaw", "heading", "ka", "k"),
+    "sigma": ("sd", "std", "s", "accuracy"),
+    "role": ("type", "use", "kind", "status"),
+}
+APPROXIMATE = (
+    "give approximate values, as from GNSS, the flight plan or a map: some percent of the flying height are enough"
+)
+CURES = {
+    "camera": "add it, with the name of a camera of block.toml in each row",
+    "role": "add it, with control or check in each row",
+    "X0": APPROXIMATE,
+    "sX": "add them, in the object unit: 0 holds a coordinate, an empty field leaves it unobserved",
+    "sigma": "add it, the standard deviation in the unit of the values",
+}
+
+
+class Header(NamedTuple):
+    """The columns in their order, and what separates them."""
+
+    columns: list[str]
+    separator: str
+
+
+def read_header(file: str, line: str, needed: Sequence[str], optional: Sequence[str], noted: Noted) -> Header | None:
+    """The header of a table; None and one note where it is not that of such a table."""
+    known = (*needed, *optional)
+    found = {separator: _fields(line, separator) for separator in (*SEPARATORS, *OTHERS)}
+    score = {separator: len(set(known).intersection(fields)) for separator, fields in found.items()}
+    best = max(score, key=lambda separator: score[separator])
+    if not score[best]:  # not one column is known
+        best = max(SEPARATORS, key=lambda separator: len(found[separator]))
+    if best in OTHERS and score[best] > 1:
+        noted.add(file, 1, f"the fields are separated by {OTHERS[best]}", "separate them by commas")
+        return None
+    best = best if best in SEPARATORS else ","
+    problem = _problem(found[best], needed, known, line)
+    if problem:
+        noted.add(file, 1, *problem)
+        return None
+    return Header(found[best], best)
+
+
+def _fields(line: str, separator: str) -> list[str]:
+    if separator == " " or '"' not in line:
+        fields = line.split(None if separator == " " else separator)
+    else:
+        try:
+            fields = next(csv.reader([line], delimiter=separator, skipinitialspace=True), [])
+        except csv.Error:  # a field that is longer than the csv module takes
+            fields = line.split(separator)
+    return [field.strip() for field in fields]
+
+
+def _problem(columns: list[str], needed: Sequence[str], known: Sequence[str], line: str) -> tuple[str, str] | None:
+    """What is wrong with the columns of a header, and the cure."""
+    if not line.strip():
+        return "the first line is empty", f"begin the table with its header: {','.join(needed)}"
+    if len(columns) > MANY:
+        what = f"the header '{shown(line)}' has {len(columns)} columns"
+        return what, f"begin the table with its header, {','.join(needed)}, and end each row with a line end"
+    missing = [column for column in needed if column not in columns]
+    unknown = list(dict.fromkeys(column for column in columns if column not in known))
+    twice = sorted(column for column, count in Counter(columns).items() if count > 1)
+    if "" in unknown and not missing and unknown == [""]:
+        return "the header has a column without name", "drop the separator at the end of the lines, or name the column"
+    if all(map(_is_number, columns)):
+        return f"the first line '{shown(line)}' is no header", f"begin the table with its header: {','.join(needed)}"
+    if not (missing or unknown):
+        return (f"{_columns(twice)} given twice", "drop one of the two") if twice else None
+    said = [f"{_columns(names)} {what}" for names, what in ((missing, "missing"), (unknown, "unknown")) if names]
+    meant = _meant(unknown, missing or [column for column in known if column not in columns])
+    if meant:
+        renamed = ", ".join(f"'{shown(theirs)}' to '{ours}'" for theirs, ours in meant.items())
+        left = [column for column in missing if column not in meant.values()]
+        more = f" and add {listed(left)}" if left else ""
+        cure = f"rename {renamed}{more}; known: {', '.join(known)}"
+    elif unknown:
+        rename = "rename it or drop it" if len(unknown) == 1 else "rename or drop them"
+        cure = f"{rename}; known: {', '.join(known)}"
+    else:
+        plain = "add it" if len(missing) == 1 else "add them"
+        cure = next((CURES[column] for column in missing if column in CURES), plain) if missing else plain
+    return " and ".join(said), cure
+
+
+def _columns(names: Sequence[str]) -> str:
+    quoted = ", ".join(f"'{shown(name)}'" for name in names[:MANY])
+    return f"column {quoted} is" if len(names) == 1 else f"columns {quoted} are"
+
+
+def _meant(unknown: Sequence[str], missing: Sequence[str]) -> dict[str, str]:
+    """Unknown columns with the missing one that each probably is."""
+    meant: dict[str, str] = {}
+    for theirs in unknown:
+        key = "".join(c for c in theirs.casefold() if c.isalnum())
+        alike = [ours for ours in missing if key in (ours.casefold(), *SYNONYMS.get(ours, ()))]
+        free = [ours for ours in alike if ours not in meant.values()]
+        if free and key:
+            meant[theirs] = free[0]
+    return meant
+
+
+def _is_number(field: str) -> bool:
+    try:
+        float(field)
+    except ValueError:
+        return False
+    return True

@@ -1,0 +1,86 @@
+"""What is wrong in a block folder, noted while reading goes on and told at once: one cause, one line."""
+
+from collections.abc import Iterable, Sequence
+from dataclasses import dataclass, field
+
+from jaxbundle.block.findings import Finding
+from jaxbundle.block.problems import BlockError, Problem, shown
+
+FIRST_LINES = 3  # line numbers in one sentence
+LISTED = 10  # names in one sentence
+
+
+@dataclass(frozen=True)
+class Placed:
+    """A problem and its place; line 0 is the file as a whole."""
+
+    file: str
+    line: int
+    problem: Problem
+    cause: bool = False  # is told before all others
+
+    def __str__(self) -> str:
+        file = shown(self.file)
+        place = f"{file}:{self.line}: " if self.line else f"{file}: " if file else ""
+        return f"{place}{self.problem.what}; {self.problem.cure}"
+
+
+@dataclass
+class Noted:
+    """`files` are those read so far, in this order; `remarks` what is found and does not forbid the block.
+
+    `touched` names the images and points in rows that are wrong: what follows from them alone is not told.
+    `broken` are the fields of rows that could not be read: names that stand there are not said to be missing.
+    `lost_images`: rays name images that are not there, so those that are there may have too few.
+    """
+
+    files: list[str] = field(default_factory=list)
+    found: list[Placed] = field(default_factory=list)
+    remarks: list[Finding] = field(default_factory=list)
+    touched: set[str] = field(default_factory=set)
+    broken: set[str] = field(default_factory=set)
+    lost_images: bool = False
+
+    def __bool__(self) -> bool:
+        return bool(self.found)
+
+    def add(self, file: str, line: int, what: str, cure: str, touched: Iterable[str] = ()) -> None:
+        """Notes one problem."""
+        self.found.append(Placed(file, line, Problem(what, cure, file)))
+        self.touched.update(touched)
+
+    def add_rows(self, file: str, lines: Sequence[int], what: str, cure: str) -> None:
+        """Notes one problem of one or more rows; `what` tells it for the first of them."""
+        count = len(lines)
+        told = what if count == 1 else f"{count} rows ({lines_of(lines)}), such as {what}"
+        self.found.append(Placed(file, int(lines[0]), Problem(told, cure, file, count=count)))
+
+    def add_problem(self, file: str, line: int, problem: Problem) -> None:
+        """Notes a problem as it is."""
+        self.found.append(Placed(file, line, problem))
+
+    def add_cause(self, file: str, line: int, what: str, cure: str) -> None:
+        """Notes what others may follow from."""
+        self.found.append(Placed(file, line, Problem(what, cure, file), cause=True))
+
+    def error(self) -> BlockError:
+        """All problems, causes first, then by file in the order of reading and by line; those of no file last."""
+        order = {file: k for k, file in enumerate(self.files)}
+
+        def place(placed: Placed) -> tuple[bool, int, int]:
+            return not placed.cause, order.get(placed.file, len(order)), placed.line
+
+        found = sorted(self.found, key=place)
+        return BlockError([placed.problem for placed in found], [str(placed) for placed in found])
+
+
+def lines_of(lines: Sequence[int]) -> str:
+    """Line numbers in one sentence, the first few of them if they are many."""
+    more = ", ..." if len(lines) > FIRST_LINES else ""
+    return f"lines {', '.join(str(int(line)) for line in lines[:FIRST_LINES])}{more}"
+
+
+def listed(names: Sequence[str]) -> str:
+    """Names in one sentence, the first few of them if they are many."""
+    more = f" and {len(names) - LISTED} more" if len(names) > LISTED else ""
+    return ", ".join(shown(name) for name in names[:LISTED]) + more

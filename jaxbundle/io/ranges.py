@@ -1,0 +1,35 @@
+"""How large and how small the numbers of a block may be; beyond, a number is a slip or another unit, and its square or
+its weight leaves the range of double precision."""
+
+import math
+
+LARGEST_LENGTH = 1e12  # m or mm, or px: 150 times the earth's radius in mm; there double precision resolves 0.1 mm
+LARGEST_IMAGE_COORDINATE = 1e9  # px or mm: thousand times the largest mosaics
+LARGEST_TIME = 1e16  # any unit: nanoseconds of several months, microseconds since 1970
+LARGEST_COEFFICIENT = 1e12  # of distortion, any unit: that of balanced terms in mm is below 1e-3, of none above 1e3
+LARGEST_COVARIANCE = LARGEST_LENGTH**2
+TURNS = 100  # of an angle: no count of full turns is meant
+SMALLEST_SIGMA = 1e-15  # m, mm, px or rad: the weight 1/sigma^2 of 1e30 is far beyond the digits of any other
+LARGEST_SIGMA = LARGEST_LENGTH
+SMALLEST_PRIOR = 1e-60  # of a coefficient in px, K3: the sixth power of some thousand px, and digits of it
+PRINCIPAL_DISTANCES = (1e-6, 1e9)  # mm, px, or of normalised image coordinates
+PIXEL_SIZES = (1e-6, 1e3)  # mm: 1 nm to 1 m
+LARGEST_FORMAT = 10**8  # px
+NOTHING = 1e-200  # a number that is smaller and not 0 is a slip: its square is 0
+
+
+def beyond(value: float, smallest: float, largest: float) -> str:
+    """Why a positive number is out of its range, as what is to follow it in a sentence; "" where it is within."""
+    if smallest <= value <= largest:
+        return ""
+    return f"is {value:g}, not between {smallest:g} and {largest:g}"
+
+
+def largest_angle(half_turn: float) -> float:
+    """The largest angle in a unit whose half turn is given."""
+    return 2 * TURNS * half_turn
+
+
+def is_unusable(value: float, largest: float) -> bool:
+    """Whether a number is not finite, too large, or not 0 and below any meaning."""
+    return not math.isfinite(value) or abs(value) > largest or 0 < abs(value) < NOTHING
