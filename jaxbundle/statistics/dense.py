@@ -16,13 +16,14 @@ from jax.flatten_util import ravel_pytree
 from jaxtyping import Array, Bool, Float, Int
 
 from jaxbundle.block.block import Block, Structure
-from jaxbundle.block.residuals import Observations, observations_of, weighted_residuals
-from jaxbundle.block.unknowns import Correction, Unknowns, angle_derivatives, corrected, unknowns_of
+from jaxbundle.block.residuals import Observations, observations_of
+from jaxbundle.block.unknowns import Unknowns, angle_derivatives, unknowns_of
 from jaxbundle.normals.inverse_factor import inverse_factor
 from jaxbundle.numerics.compilation import Compiled
 from jaxbundle.numerics.host import on_device
 from jaxbundle.solve.adjustment import Adjustment
 from jaxbundle.solve.robust import LEAST_WEIGHT
+from jaxbundle.statistics.design import free_masks, no_corrections, residuals_after
 from jaxbundle.statistics.subsets import Subset
 
 MOST_UNKNOWNS = 3000  # A of 10 000 observations takes 240 MB
@@ -108,7 +109,7 @@ def block_system(block: Block) -> DenseSystem:
         )
     centred = block.moved(-np.asarray(block.exterior.projection_centre).mean(0))
     observations = observations_of(centred)
-    free = np.flatnonzero(np.concatenate([np.ravel(mask) for mask in _free_masks(observations)]))
+    free = np.flatnonzero(np.concatenate([np.ravel(mask) for mask in free_masks(observations)]))
     padded = np.full(-(-len(free) // COLUMNS_AT_ONCE) * COLUMNS_AT_ONCE, _elements(observations))
     padded[: len(free)] = free
     orthogonal, inverse, pivots, turned = _factors(
@@ -171,27 +172,17 @@ def _factors(
     return nearly @ second.T, inverse, 1 / jnp.diagonal(first) ** 2, turned
 
 
-def _free_masks(o: Observations) -> tuple[Array, ...]:
-    return o.exterior_free, o.interior_free, o.parameter_free, o.point_free
-
-
 def _elements(o: Observations) -> int:
     """Number of elements that may be unknown."""
-    return sum(mask.size for mask in _free_masks(o))
+    return sum(mask.size for mask in free_masks(o))
 
 
 def _design_columns(
     unknowns: Unknowns, o: Observations, free: Int[Array, "chunk at_once"]
 ) -> Float[Array, "column observation"]:
     """Columns of A, 0 for a number beyond the last; observations in the order of the tables."""
-    zero, unflatten = ravel_pytree(tuple(jnp.zeros(mask.shape) for mask in _free_masks(o)))
-
-    def residuals(correction: Float[Array, " element"]) -> Float[Array, " observation"]:
-        exterior, by_column, parameters, points = unflatten(correction)
-        interior = jnp.zeros_like(unknowns.interior).at[np.array(o.columns, int)].set(by_column)
-        moved = corrected(unknowns, Correction(exterior, interior, parameters, points), o.in_angles, o.system)
-        return jnp.concatenate([v.T.ravel() for v in weighted_residuals(moved, o)])
-
-    _, linear = jax.linearize(residuals, zero)
+    zero, unflatten = ravel_pytree(no_corrections(o))
+    residuals = residuals_after(unknowns, o)
+    _, linear = jax.linearize(lambda correction: residuals(unflatten(correction)), zero)
     columns = jax.lax.map(jax.vmap(lambda k: linear(zero.at[k].set(1.0, mode="drop"))), free)
     return columns.reshape(free.size, -1)
