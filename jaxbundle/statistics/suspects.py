@@ -1,0 +1,280 @@
+"""The suspect observations of an adjustment, the gravest first, with the size of their errors.
+
+What is accepted is taken out of the observations by its estimated size and the block is adjusted again, until the sizes
+stay: so a large error, whose effect is not linear, blames nobody else, and sigma0 without it is that of an adjustment.
+Nothing changes its shape, so all rounds run in the program of the first adjustment.
+"""
+
+import dataclasses
+from collections.abc import Sequence
+from typing import NamedTuple
+
+import equinox as eqx
+import numpy as np
+from jaxtyping import Float
+from scipy.special import fdtri, ncfdtrinc
+
+from jaxbundle.block.block import Block
+from jaxbundle.block.findings import Subject
+from jaxbundle.numerics.host import on_device
+from jaxbundle.solve.adjust import adjust
+from jaxbundle.solve.adjustment import Adjustment, Status
+from jaxbundle.statistics.error_columns import FIXED, ErrorColumn, ErrorTests, error_tests
+from jaxbundle.statistics.hypotheses import Cause, Hypotheses, Hypothesis
+from jaxbundle.statistics.possible_errors import possible_errors
+from jaxbundle.statistics.reliability import POWER, level_of_one, reliability
+from jaxbundle.statistics.selection import Selection
+
+LEVEL = 0.05  # that any good observation at all is suspected
+MOST = 25  # suspicions: of more errors than that the tests say little
+ROUNDS = 5  # of adjusting again; Gauss-Newton steps of the sizes, of which the last changes nothing
+RAYS_FOR_ONE_ROUND = 200_000  # beyond, one adjustment more is all that the suspects may cost
+SAME = 0.05  # change of a size, in its standard deviations, or of itself
+SHOWN = 0.01  # part of an error that its residuals show, below which its size is not told
+NO_ERRORS = 1e-6  # sigma0 of observations that have no errors: residuals are rounding
+
+
+class Suspicion(NamedTuple):
+    """What is probably wrong, in the user's names and units.
+
+    `subjects` are wrong together; each of `alternatives`, in its place, would explain the same. `error`: observed less
+    true value of each component, NaN where the residuals show too little of it; `units`, `deviations` and the minimal
+    detectable errors go with it. `statistic` is T, `probability` its logarithm to the base 10.
+    """
+
+    subjects: tuple[Subject, ...]
+    cause: Cause
+    alternatives: tuple[tuple[Subject, ...], ...]
+    components: tuple[str, ...]
+    error: Float[np.ndarray, " component"]
+    units: tuple[str, ...]
+    deviations: Float[np.ndarray, " component"]
+    minimal_detectable: Float[np.ndarray, " component"]
+    statistic: float
+    degrees: int
+    probability: float
+    sigma0_without: float
+
+
+class Suspects(NamedTuple):
+    """The suspicions, the gravest first; sigma0 when the errors of all of them are taken out; the adjustment without
+    these errors, None where there are none. `members`: rows (table, row) that are wrong, of each suspicion."""
+
+    suspicions: tuple[Suspicion, ...]
+    sigma0: float
+    adjustment: Adjustment | None
+    members: tuple[frozenset[tuple[int, int]], ...]
+
+
+def testable(adjustment: Adjustment) -> bool:
+    """Whether the residuals of an adjustment can be tested."""
+    return (
+        adjustment.redundancy_numbers is not None
+        and adjustment.status is Status.CONVERGED
+        and not adjustment.undetermined
+        and adjustment.reweighting is None
+        and adjustment.redundancy >= 2
+        and float(adjustment.sigma0) > NO_ERRORS
+    )
+
+
+def suspects(adjustment: Adjustment, level: float = LEVEL) -> tuple[Suspicion, ...]:
+    """The suspect observations, the gravest first. `level`: of all tests together.
+
+    None where nothing can be tested: without redundancy numbers, not converged, with robust weights.
+    """
+    return find_suspects(adjustment, level).suspicions
+
+
+def find_suspects(adjustment: Adjustment, level: float = LEVEL) -> Suspects:
+    """`suspects`, with the adjustment without their errors."""
+    nobody = Suspects((), float(adjustment.sigma0), None, ())
+    if not testable(adjustment):
+        return nobody
+    state = _State.first(adjustment, level)
+    rounds = ROUNDS if len(adjustment.block.structure.ray_image) < RAYS_FOR_ONE_ROUND else 1
+    for _ in range(rounds):
+        if state.settled or (again := _without(adjustment, state)) is None:
+            break
+        state = state.next(again)
+    return state.found(adjustment) if state.accepted else nobody
+
+
+@dataclasses.dataclass(frozen=True)
+class _State:
+    """The tests at one linearisation. `removed`: sizes of the errors taken out of the observations, by keys."""
+
+    adjustment: Adjustment
+    w: tuple[np.ndarray, ...]
+    block: Block
+    level: float
+    hypotheses: Hypotheses
+    selection: Selection
+    accepted: list[int]
+    removed: dict[tuple, Float[np.ndarray, " component"]]
+
+    @classmethod
+    def first(cls, adjustment: Adjustment, level: float) -> "_State":
+        """Nothing is taken out."""
+        return cls._of(adjustment, adjustment.block, reliability(adjustment).w, level, {})
+
+    @classmethod
+    def _of(
+        cls, adjustment: Adjustment, block: Block, w: Sequence[np.ndarray], level: float, removed: dict
+    ) -> "_State":
+        hypotheses = possible_errors(block, w)
+        tests = error_tests(adjustment, hypotheses.elementary).combined(hypotheses.combinations)
+        known = {h.key: k for k, h in enumerate(hypotheses.every)}
+        start = [known[key] for key in removed if key in known]
+        columns = np.array([c for k in start for c in hypotheses.every[k].columns], int)
+        sizes = np.concatenate([removed[hypotheses.every[k].key] for k in start]) if start else np.zeros(0)
+        log_level = float(np.log(level_of_one(level, hypotheses.tests)))
+        selection = Selection(_put_back(tests, columns, sizes), hypotheses.every, log_level)
+        return cls(adjustment, tuple(w), block, level, hypotheses, selection, selection.select(MOST, start), removed)
+
+    def next(self, adjustment: Adjustment) -> "_State":
+        """The tests at the adjustment without the errors that this state accepts."""
+        w = [np.maximum(np.abs(a), np.abs(b)) for a, b in zip(self.w, reliability(adjustment).w, strict=True)]
+        return self._of(adjustment, self.block, w, self.level, self.sizes)
+
+    @property
+    def sizes(self) -> dict[tuple, Float[np.ndarray, " component"]]:
+        """Estimated sizes of the accepted errors, 1 where the size is known; by the keys of their hypotheses."""
+        estimated, _ = self.estimated
+        return {self._of_number(k).key: size for k, size in zip(self.accepted, estimated, strict=True)}
+
+    @property
+    def estimated(self) -> tuple[list[np.ndarray], list[np.ndarray]]:
+        """Sizes and their standard deviations for sigma0 = 1."""
+        if not self.accepted:
+            return [], []
+        columns = self.selection.columns(self.accepted)
+        inverse, _ = self.selection.inverse(columns)
+        sizes, deviations = -inverse @ self.selection.tests.right[columns], np.sqrt(np.diagonal(inverse))
+        ends = np.cumsum([len(self._of_number(k).columns) for k in self.accepted])[:-1]
+        parts, sds = np.split(sizes, ends), np.split(deviations, ends)
+        exact = [self._of_number(k).exact for k in self.accepted]
+        return [np.ones(1) if e else p for p, e in zip(parts, exact, strict=True)], sds
+
+    @property
+    def settled(self) -> bool:
+        """Whether the errors taken out are those accepted, by their sizes too."""
+        new = self.sizes
+        if set(new) != set(self.removed):
+            return False
+        _, deviations = self.estimated
+        for (key, size), sd in zip(new.items(), deviations, strict=True):
+            if (np.abs(size - self.removed[key]) > np.maximum(SAME * sd, SAME * SAME * np.abs(size))).any():
+                return False
+        return True
+
+    def _of_number(self, number: int) -> Hypothesis:
+        return self.hypotheses.every[number]
+
+    def elementary(self) -> list[tuple[ErrorColumn, float]]:
+        """The accepted errors of the observations themselves."""
+        if not self.accepted:
+            return []
+        sizes = self.hypotheses.combinations[:, self.selection.columns(self.accepted)] @ np.concatenate(
+            self.estimated[0]
+        )
+        return [(column, float(s)) for column, s in zip(self.hypotheses.elementary, sizes, strict=True) if s]
+
+    def found(self, given: Adjustment) -> Suspects:
+        """The suspicions in the user's names and units."""
+        left = self.selection.given(self.accepted)
+        sigma0 = float(np.sqrt(max(left.vtpv, 0.0) / max(left.redundancy, 1)))
+        suspicions = [self._suspicion(i, sigma0) for i in range(len(self.accepted))]
+        members = tuple(self._of_number(k).members for k in self.accepted)
+        return Suspects(tuple(suspicions), sigma0, self.adjustment if self.removed else None, members)
+
+    def _suspicion(self, place: int, sigma0: float) -> Suspicion:
+        number = self.accepted[place]
+        h, others = self._of_number(number), [k for k in self.accepted if k != number]
+        tested, alone = self.selection.tested(others), self.selection.given([number])
+        sizes, deviations = (part[place] for part in self.estimated)
+        factor = max(sigma0, 1.0)
+        redundancy = self.selection.given(others).redundancy
+        matrix = np.diagonal(self.selection.given(others).matrix)[list(h.columns)]
+        root = np.sqrt(_non_centrality(self.selection.log_level, 1, redundancy - 1))
+        with np.errstate(divide="ignore", invalid="ignore"):
+            detectable = factor * root / np.sqrt(np.maximum(matrix, 0.0))
+        told = bool(tested.shown[number] >= SHOWN) and not h.exact
+        scale = self._user_scale(h)
+        alternatives = tuple(self._of_number(k).subjects for k in self.selection.alternatives(number, self.accepted))
+        return Suspicion(
+            h.subjects,
+            h.cause,
+            alternatives,
+            h.components,
+            scale * sizes if told else np.full(len(sizes), np.nan),
+            h.units,
+            np.abs(scale) * factor * deviations,
+            np.abs(scale) * detectable,
+            float(tested.statistic[number]),
+            int(tested.degrees[number]),
+            float(tested.log_probability[number] / np.log(10)),
+            float(np.sqrt(max(alone.vtpv, 0.0) / max(alone.redundancy, 1))),
+        )
+
+    def _user_scale(self, h: Hypothesis) -> np.ndarray:
+        """From the frame of the residuals to the user's: angles in his unit, y of pixels down."""
+        s = self.block.structure
+        table, member = next(iter(h.members))
+        down = table == 0 and s.cameras[s.image_camera[s.ray_image[member]]].image_unit == "px"
+        by_unit = {"deg": 180 / np.pi, "gon": 200 / np.pi}
+        return np.array(
+            [-1.0 if down and c == "y" else by_unit.get(u, 1.0) for c, u in zip(h.components, h.units, strict=True)]
+        )
+
+
+def _put_back(tests: ErrorTests, columns: np.ndarray, sizes: np.ndarray) -> ErrorTests:
+    """The tests as if the errors that were taken out were still there, by the linear model of now."""
+    change = tests.matrix[:, columns] @ sizes
+    vtpv = tests.vtpv - 2 * float(sizes @ tests.right[columns]) + float(sizes @ change[columns])
+    return tests._replace(right=tests.right - change, vtpv=vtpv)
+
+
+def _non_centrality(log_level: float, degrees: int, redundancy: int) -> float:
+    """lambda of an error that is found with the usual power by a test of F."""
+    limit = fdtri(degrees, redundancy, -np.expm1(log_level))
+    return float(ncfdtrinc(degrees, redundancy, 1 - POWER, limit))
+
+
+def _without(given: Adjustment, state: _State) -> Adjustment | None:
+    """The given block adjusted without the errors that a state accepts, from where the state stands; None where that
+    does not converge."""
+    block = with_errors_removed(given.block, state.elementary())
+    now = state.adjustment.block
+    points = np.where(given.block.structure.point_free, np.asarray(now.object_points), np.asarray(block.object_points))
+    block = eqx.tree_at(
+        lambda b: (b.exterior, b.interior, b.parameters, b.object_points),
+        block,
+        (now.exterior, now.interior, now.parameters, on_device(points)),
+    )
+    again = adjust(block)
+    return again if again.status is Status.CONVERGED and not again.undetermined else None
+
+
+def with_errors_removed(block: Block, errors: Sequence[tuple[ErrorColumn, float]]) -> Block:
+    """The block whose observations and fixed coordinates are less by errors of some sizes."""
+    s = block.structure
+    down = np.array([camera.image_unit == "px" for camera in s.cameras])[s.image_camera[s.ray_image]]
+    rays, points = np.array(block.rays.coordinates), np.array(block.object_points)
+    tables = [np.array(group.values) for group in block.groups]
+    for column, size in errors:
+        change = size * column.values
+        if column.table == FIXED:
+            np.subtract.at(points, (column.member, column.component), change)
+        elif column.table == 0:
+            up = np.where(down[column.member] & (column.component == 1), -1.0, 1.0)
+            np.subtract.at(rays, (column.member, column.component), up * change)
+        else:
+            np.subtract.at(tables[column.table - 1], (column.member, column.component), change)
+    groups = tuple(
+        eqx.tree_at(lambda g: g.values, group, on_device(values))
+        for group, values in zip(block.groups, tables, strict=True)
+    )
+    return eqx.tree_at(
+        lambda b: (b.rays.coordinates, b.object_points, b.groups), block, (on_device(rays), on_device(points), groups)
+    )
