@@ -8,6 +8,9 @@ point: its column is minus that of the design matrix. With C = P^1/2 B and the w
 tell everything about any combination of the columns (Baarda 1968, Foerstner 1983, Teunissen 2000): its most probable
 size is -M^-1 g, and g^T M^-1 g is by how much v^T P v falls when it is taken out. N^-1 comes from one factorisation for
 all columns. M does not depend on the datum.
+
+The residuals of an adjustment are orthogonal to A. Where they are not, because they stand at other values of the
+unknowns, the part that a step of Gauss-Newton would explain is taken off: v becomes one column more.
 """
 
 from collections.abc import Sequence
@@ -19,6 +22,7 @@ import jax.numpy as jnp
 import numpy as np
 import scipy.sparse as sp
 from jaxtyping import Array, Float, Int
+from scipy.linalg import solve_triangular
 
 from jaxbundle.block.block import Block
 from jaxbundle.block.datum import with_datum
@@ -30,9 +34,9 @@ from jaxbundle.normals.vector import NormalVector, arranged_vectors
 from jaxbundle.numerics.compilation import RAYS_FOR_OPTIMISATION, Compiled
 from jaxbundle.numerics.host import on_device
 from jaxbundle.numerics.shapes import grid_size
-from jaxbundle.solve.adjustment import Adjustment
-from jaxbundle.statistics.design import Corrections, no_corrections, residuals_after
+from jaxbundle.statistics.design import Corrections, design_columns, free_elements, no_corrections, residuals_after
 
+MOST_DENSE = 1500  # unknowns: up to here the whole design matrix takes less time than a solution for each column
 FIXED = -1  # table of a fixed coordinate: it is not observed
 
 
@@ -64,24 +68,59 @@ class ErrorTests(NamedTuple):
         return self._replace(right=combinations.T @ self.right, matrix=both, lengths=lengths)
 
 
-def error_tests(adjustment: Adjustment, columns: Sequence[ErrorColumn]) -> ErrorTests:
-    """g and M at the adjusted unknowns."""
-    block = with_datum(adjustment.block)
+def error_tests(block: Block, residuals: Sequence[np.ndarray], columns: Sequence[ErrorColumn]) -> ErrorTests:
+    """g and M at the values of a block; `residuals`: tables of the weighted residuals there.
+
+    A large block must be adjusted.
+    """
+    block = with_datum(block)
     centres = np.asarray(block.exterior.projection_centre)
     centred = block.moved(on_device(-centres.mean(0)))
     unknowns, observations = unknowns_of(centred), observations_of(centred)
     c = _weighted_columns(block, columns, unknowns, observations)
-    residuals = np.concatenate([np.asarray(v).ravel() for v in adjustment.weighted_residuals])
-    products = _transposed_products(unknowns, observations, c)
+    v = np.concatenate([np.asarray(table).ravel() for table in residuals])
+    gram, right, vtpv = (c.T @ c).toarray(), c.T @ v, float(v @ v)
+    lengths = np.diagonal(gram).copy()
+    if block.structure.unknowns > MOST_DENSE:
+        explained = _explained_by_elimination(block, centred, unknowns, _transposed_products(unknowns, observations, c))
+    else:
+        explained, by_step, gain = _explained_densely(unknowns, observations, c, v)
+        right, vtpv = right - by_step, vtpv - gain
+    return ErrorTests(right, gram - explained, lengths, vtpv, block.redundancy)
+
+
+def _explained_densely(
+    unknowns: Unknowns, o: Observations, c: sp.csc_matrix, v: Float[np.ndarray, " observation"]
+) -> tuple[Float[np.ndarray, "column column"], Float[np.ndarray, " column"], float]:
+    """(A^T C)^T N^-1 (A^T C), the same with A^T v on the right and on both sides, by the whole design matrix."""
+    free = free_elements(o)
+    a = np.asarray(_design(unknowns, o, on_device(free.chunks, np.int32), optimised=False))[: free.count]
+    a = a / np.linalg.norm(a, axis=1)[:, None]
+    factor = np.linalg.cholesky(a @ a.T)
+    half = solve_triangular(factor, np.concatenate([c.T @ a.T, (a @ v)[None]]).T, lower=True)
+    products = half.T @ half
+    return products[:-1, :-1], products[:-1, -1], float(products[-1, -1])
+
+
+@Compiled
+def _design(
+    unknowns: Unknowns, o: Observations, free: Int[Array, "chunk at_once"]
+) -> Float[Array, "column observation"]:
+    return design_columns(unknowns, o, free)
+
+
+def _explained_by_elimination(
+    block: Block, centred: Block, unknowns: Unknowns, products: tuple[np.ndarray, ...]
+) -> Float[np.ndarray, "column column"]:
+    """(A^T C)^T N^-1 (A^T C) by the elimination of the points."""
+    centres = np.asarray(block.exterior.projection_centre)
     plan = arrange(block.structure, block.groups, centres, 1, "auto", True)
-    rows = arranged_vectors(plan, block.structure, *products)
+    padded = [np.pad(x, [(0, grid_size(len(x)) - len(x)), *[(0, 0)] * (x.ndim - 1)]) for x in products]
+    rows = NormalVector(*map(on_device, arranged_vectors(plan, block.structure, *padded)))
     optimised = len(block.structure.ray_image) >= RAYS_FOR_OPTIMISATION
-    arguments = arranged_unknowns(plan, unknowns), problem(plan, centred), NormalVector(*map(on_device, rows))
-    explained = np.asarray(_explained(*arguments, optimised=optimised))[: len(columns), : len(columns)]
-    gram = (c.T @ c).toarray()
-    return ErrorTests(
-        c.T @ residuals, gram - explained, np.diagonal(gram).copy(), float(adjustment.vtpv), adjustment.redundancy
-    )
+    found = _explained(arranged_unknowns(plan, unknowns), problem(plan, centred), rows, optimised=optimised)
+    count = len(products[0])
+    return np.asarray(found)[:count, :count]
 
 
 @Compiled
@@ -171,7 +210,7 @@ def _changes_by_points(unknowns: Unknowns, o: Observations, moved: Array) -> Flo
 def _transposed_products(
     unknowns: Unknowns, o: Observations, c: sp.csc_matrix
 ) -> tuple[np.ndarray, np.ndarray, np.ndarray, np.ndarray]:
-    """A^T C, vectors first, padded with zeros: exterior by image, interior by camera, parameters, points.
+    """A^T C, vectors first: exterior by image, interior by camera, parameters, points.
 
     The rays that no column touches are left out.
     """
@@ -191,9 +230,8 @@ def _transposed_products(
     kept = c.tocsr()[rows].toarray().T
     columns[: c.shape[1], : 2 * len(touched)] = kept[:, : 2 * len(touched)]
     columns[: c.shape[1], 2 * len(chosen) :] = kept[:, 2 * len(touched) :]
-    optimised = rays >= RAYS_FOR_OPTIMISATION
-    found = _transposed(unknowns, few, on_device(columns), optimised=optimised)
-    exterior, interior, parameters, points = (np.asarray(part) for part in found)
+    found = _transposed(unknowns, few, on_device(columns), optimised=rays >= RAYS_FOR_OPTIMISATION)
+    exterior, interior, parameters, points = (np.asarray(part)[: c.shape[1]] for part in found)
     return exterior.transpose(0, 2, 1), interior.transpose(0, 2, 1), parameters, points.transpose(0, 2, 1)
 
 
