@@ -250,7 +250,11 @@ class _Collection:
         for image in _largest(score, IMAGES).tolist():
             self._scaled(Subject("images", (s.image_names[image],)), s.ray_image == image)
         used = np.bincount(s.image_camera, minlength=len(s.cameras))
-        for camera in np.flatnonzero(used > 1)[:IMAGES].tolist():
+        held = [
+            not free[c.model.elements.index("principal_distance")]
+            for c, free in zip(s.cameras, s.interior_free, strict=True)
+        ]
+        for camera in np.flatnonzero((used > 1) & held)[:IMAGES].tolist():
             self._scaled(Subject("cameras", (s.cameras[camera].name,)), s.image_camera[s.ray_image] == camera)
 
     def _scaled(self, subject: Subject, chosen: Bool[np.ndarray, " ray"]) -> None:

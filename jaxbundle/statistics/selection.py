@@ -20,9 +20,10 @@ from jaxtyping import Float, Int
 from scipy.special import betaln, fdtrc, hyp2f1
 
 from jaxbundle.statistics.error_columns import ErrorTests
-from jaxbundle.statistics.hypotheses import Hypothesis
+from jaxbundle.statistics.hypotheses import Cause, Hypothesis
 
 CONTROLLED = 1e-6  # part of an error that the residuals show; of less, rounding is a part
+CONTROLLED_AS_GROUP = 0.01  # of a group: what the unknowns imitate so well is no error of the observations
 TINY = 1e-250  # probabilities below are computed as logarithms
 EXACT = 0.1  # of a mistake whose size is 1: so much may the linear estimate of its size be off beside SURE s.d.
 SURE = 4.0
@@ -48,6 +49,7 @@ class Selection:
         for width in sorted({len(h.columns) for h in hypotheses}):
             numbers = np.array([k for k, h in enumerate(hypotheses) if len(h.columns) == width])
             self._by_width[width] = numbers, np.array([hypotheses[k].columns for k in numbers])
+        self._least = np.array([CONTROLLED if h.cause is Cause.VALUE else CONTROLLED_AS_GROUP for h in hypotheses])
         self._exact = np.array([h.exact for h in hypotheses], bool)
 
     def columns(self, accepted: Sequence[int]) -> Int[np.ndarray, " column"]:
@@ -59,7 +61,7 @@ class Selection:
         if not len(columns):
             return np.zeros((0, 0)), 0
         pseudo, ranks, _ = _pseudo_inverses(
-            self.tests.matrix[np.ix_(columns, columns)][None], self.tests.lengths[columns][None]
+            self.tests.matrix[np.ix_(columns, columns)][None], self.tests.lengths[columns][None], CONTROLLED
         )
         return pseudo[0], int(ranks[0])
 
@@ -84,7 +86,7 @@ class Selection:
         sizes, deviations = np.ones(count), np.zeros(count)
         for numbers, columns in self._by_width.values():
             pseudo, ranks, shown = _pseudo_inverses(
-                t.matrix[columns[:, :, None], columns[:, None, :]], self.tests.lengths[columns]
+                t.matrix[columns[:, :, None], columns[:, None, :]], self.tests.lengths[columns], self._least[numbers]
             )
             estimated = np.einsum("hij,hj->hi", pseudo, t.right[columns])
             found.statistic[numbers] = np.maximum(np.einsum("hi,hi->h", estimated, t.right[columns]), 0.0)
@@ -185,11 +187,11 @@ def log_probability(f: np.ndarray, one: np.ndarray, two: np.ndarray) -> np.ndarr
 
 
 def _pseudo_inverses(
-    matrices: Float[np.ndarray, "h p p"], lengths: Float[np.ndarray, "h p"]
+    matrices: Float[np.ndarray, "h p p"], lengths: Float[np.ndarray, "h p"], least: float | Float[np.ndarray, " h"]
 ) -> tuple[Float[np.ndarray, "h p p"], Int[np.ndarray, " h"], Float[np.ndarray, " h"]]:
     """M^+ of every matrix, its rank, and the smallest eigenvalue of M against C^T C; 0 where nothing is controlled."""
     scale = np.where(lengths > 0, 1 / np.sqrt(np.where(lengths > 0, lengths, 1.0)), 0.0)
     values, vectors = np.linalg.eigh(matrices * scale[:, :, None] * scale[:, None, :])
-    good = values > CONTROLLED
+    good = values > np.asarray(least).reshape(-1, 1)
     inverse = np.einsum("hik,hk,hjk->hij", vectors, np.where(good, 1 / np.where(good, values, 1.0), 0.0), vectors)
     return inverse * scale[:, :, None] * scale[:, None, :], good.sum(1), np.maximum(values[:, 0], 0.0)

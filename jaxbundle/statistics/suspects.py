@@ -19,16 +19,18 @@ from jaxbundle.block.findings import Subject
 from jaxbundle.numerics.host import on_device
 from jaxbundle.solve.adjust import adjust
 from jaxbundle.solve.adjustment import Adjustment, Status
-from jaxbundle.statistics.error_columns import FIXED, ErrorColumn, ErrorTests, error_tests
+from jaxbundle.statistics.error_columns import FIXED, MOST_DENSE, ErrorColumn, ErrorTests, error_tests
 from jaxbundle.statistics.hypotheses import Cause, Hypotheses, Hypothesis
 from jaxbundle.statistics.possible_errors import possible_errors
-from jaxbundle.statistics.reliability import POWER, level_of_one, reliability
-from jaxbundle.statistics.selection import Selection
+from jaxbundle.statistics.reliability import POWER, level_of_one, redundancy_numbers
+from jaxbundle.statistics.robust_start import robust_point, with_unknowns_of
+from jaxbundle.statistics.selection import CONTROLLED, Selection
 
 LEVEL = 0.05  # that any good observation at all is suspected
 MOST = 25  # suspicions: of more errors than that the tests say little
 ROUNDS = 5  # of adjusting again; Gauss-Newton steps of the sizes, of which the last changes nothing
 RAYS_FOR_ONE_ROUND = 200_000  # beyond, one adjustment more is all that the suspects may cost
+LARGE = 3.0  # sigma0 from which on the tests begin at robust values of the unknowns
 SAME = 0.05  # change of a size, in its standard deviations, or of itself
 SHOWN = 0.01  # part of an error that its residuals show, below which its size is not told
 NO_ERRORS = 1e-6  # sigma0 of observations that have no errors: residuals are rounding
@@ -39,7 +41,8 @@ class Suspicion(NamedTuple):
 
     `subjects` are wrong together; each of `alternatives`, in its place, would explain the same. `error`: observed less
     true value of each component, NaN where the residuals show too little of it; `units`, `deviations` and the minimal
-    detectable errors go with it. `statistic` is T, `probability` its logarithm to the base 10.
+    detectable errors go with it. `statistic` is T, `probability` its logarithm to the base 10. `shown`: the part of the
+    error that the residuals show.
     """
 
     subjects: tuple[Subject, ...]
@@ -53,6 +56,7 @@ class Suspicion(NamedTuple):
     statistic: float
     degrees: int
     probability: float
+    shown: float
     sigma0_without: float
 
 
@@ -91,51 +95,88 @@ def find_suspects(adjustment: Adjustment, level: float = LEVEL) -> Suspects:
     nobody = Suspects((), float(adjustment.sigma0), None, ())
     if not testable(adjustment):
         return nobody
-    state = _State.first(adjustment, level)
-    rounds = ROUNDS if len(adjustment.block.structure.ray_image) < RAYS_FOR_ONE_ROUND else 1
+    given = adjustment.block
+    state = _start(adjustment, level)
+    rounds = ROUNDS if len(given.structure.ray_image) < RAYS_FOR_ONE_ROUND else 1
     for _ in range(rounds):
-        if state.settled or (again := _without(adjustment, state)) is None:
+        if state.settled:
+            break
+        again = adjust(with_unknowns_of(with_errors_removed(given, state.elementary()), state.block), precision=False)
+        if again.status is not Status.CONVERGED:
             break
         state = state.next(again)
-    return state.found(adjustment) if state.accepted else nobody
+    return state.found() if state.accepted else nobody
+
+
+def _start(adjustment: Adjustment, level: float) -> "_State":
+    """The tests at the adjustment; where its residuals are large, at values that they have not drawn aside."""
+    given, large = adjustment.block, float(adjustment.sigma0) > LARGE
+    if large and given.structure.unknowns <= MOST_DENSE and (robust := robust_point(adjustment)) is not None:
+        state = _State.of(given, robust.block, robust.weighted_residuals, _roots(adjustment), level)
+        if state.accepted:
+            return state
+    return _State.of(given, given, _tables(adjustment), _roots(adjustment), level)
+
+
+def _tables(adjustment: Adjustment) -> tuple[np.ndarray, ...]:
+    return tuple(np.asarray(v) for v in adjustment.weighted_residuals)
+
+
+def _roots(adjustment: Adjustment) -> tuple[np.ndarray, ...]:
+    """Roots of the redundancy numbers, infinite where nothing is controlled."""
+    numbers = [np.maximum(r, 0.0) for r in redundancy_numbers(adjustment)]
+    return tuple(np.sqrt(np.where(r > CONTROLLED, r, np.inf)) for r in numbers)
 
 
 @dataclasses.dataclass(frozen=True)
 class _State:
     """The tests at one linearisation. `removed`: sizes of the errors taken out of the observations, by keys."""
 
-    adjustment: Adjustment
-    w: tuple[np.ndarray, ...]
+    given: Block
     block: Block
+    w: tuple[np.ndarray, ...]
+    roots: tuple[np.ndarray, ...]
     level: float
     hypotheses: Hypotheses
     selection: Selection
     accepted: list[int]
     removed: dict[tuple, Float[np.ndarray, " component"]]
+    adjustment: Adjustment | None = None
 
     @classmethod
-    def first(cls, adjustment: Adjustment, level: float) -> "_State":
-        """Nothing is taken out."""
-        return cls._of(adjustment, adjustment.block, reliability(adjustment).w, level, {})
-
-    @classmethod
-    def _of(
-        cls, adjustment: Adjustment, block: Block, w: Sequence[np.ndarray], level: float, removed: dict
+    def of(
+        cls, given: Block, block: Block, residuals: tuple[np.ndarray, ...], roots: tuple[np.ndarray, ...], level: float
     ) -> "_State":
-        hypotheses = possible_errors(block, w)
-        tests = error_tests(adjustment, hypotheses.elementary).combined(hypotheses.combinations)
-        known = {h.key: k for k, h in enumerate(hypotheses.every)}
-        start = [known[key] for key in removed if key in known]
-        columns = np.array([c for k in start for c in hypotheses.every[k].columns], int)
-        sizes = np.concatenate([removed[hypotheses.every[k].key] for k in start]) if start else np.zeros(0)
-        log_level = float(np.log(level_of_one(level, hypotheses.tests)))
-        selection = Selection(_put_back(tests, columns, sizes), hypotheses.every, log_level)
-        return cls(adjustment, tuple(w), block, level, hypotheses, selection, selection.select(MOST, start), removed)
+        """Nothing is taken out; the unknowns are those of `block`."""
+        w = tuple(np.abs(v) / root for v, root in zip(residuals, roots, strict=True))
+        hypotheses = possible_errors(given, w)
+        tests = error_tests(block, residuals, hypotheses.elementary).combined(hypotheses.combinations)
+        selection = Selection(tests, hypotheses.every, _log_level(level, hypotheses))
+        return cls(given, block, w, roots, level, hypotheses, selection, selection.select(MOST), {})
 
     def next(self, adjustment: Adjustment) -> "_State":
         """The tests at the adjustment without the errors that this state accepts."""
-        w = [np.maximum(np.abs(a), np.abs(b)) for a, b in zip(self.w, reliability(adjustment).w, strict=True)]
-        return self._of(adjustment, self.block, w, self.level, self.sizes)
+        tables, removed = _tables(adjustment), self.sizes
+        pairs = zip(self.w, tables, self.roots, strict=True)
+        w = tuple(np.maximum(before, np.abs(v) / root) for before, v, root in pairs)
+        hypotheses = possible_errors(self.given, w)
+        known = {h.key: k for k, h in enumerate(hypotheses.every)}
+        start = [known[key] for key in removed if key in known]
+        tests = error_tests(adjustment.block, tables, hypotheses.elementary).combined(hypotheses.combinations)
+        columns = np.array([c for k in start for c in hypotheses.every[k].columns], int)
+        sizes = np.concatenate([np.zeros(0), *(removed[hypotheses.every[k].key] for k in start)])
+        log_level = _log_level(self.level, hypotheses)
+        selection = Selection(_put_back(tests, columns, sizes), hypotheses.every, log_level)
+        return dataclasses.replace(
+            self,
+            block=adjustment.block,
+            w=w,
+            hypotheses=hypotheses,
+            selection=selection,
+            accepted=selection.select(MOST, start),
+            removed=removed,
+            adjustment=adjustment,
+        )
 
     @property
     def sizes(self) -> dict[tuple, Float[np.ndarray, " component"]]:
@@ -180,13 +221,13 @@ class _State:
         )
         return [(column, float(s)) for column, s in zip(self.hypotheses.elementary, sizes, strict=True) if s]
 
-    def found(self, given: Adjustment) -> Suspects:
+    def found(self) -> Suspects:
         """The suspicions in the user's names and units."""
         left = self.selection.given(self.accepted)
         sigma0 = float(np.sqrt(max(left.vtpv, 0.0) / max(left.redundancy, 1)))
         suspicions = [self._suspicion(i, sigma0) for i in range(len(self.accepted))]
         members = tuple(self._of_number(k).members for k in self.accepted)
-        return Suspects(tuple(suspicions), sigma0, self.adjustment if self.removed else None, members)
+        return Suspects(tuple(suspicions), sigma0, self.adjustment, members)
 
     def _suspicion(self, place: int, sigma0: float) -> Suspicion:
         number = self.accepted[place]
@@ -214,12 +255,13 @@ class _State:
             float(tested.statistic[number]),
             int(tested.degrees[number]),
             float(tested.log_probability[number] / np.log(10)),
+            float(tested.shown[number]),
             float(np.sqrt(max(alone.vtpv, 0.0) / max(alone.redundancy, 1))),
         )
 
     def _user_scale(self, h: Hypothesis) -> np.ndarray:
         """From the frame of the residuals to the user's: angles in his unit, y of pixels down."""
-        s = self.block.structure
+        s = self.given.structure
         table, member = next(iter(h.members))
         down = table == 0 and s.cameras[s.image_camera[s.ray_image[member]]].image_unit == "px"
         by_unit = {"deg": 180 / np.pi, "gon": 200 / np.pi}
@@ -235,25 +277,14 @@ def _put_back(tests: ErrorTests, columns: np.ndarray, sizes: np.ndarray) -> Erro
     return tests._replace(right=tests.right - change, vtpv=vtpv)
 
 
+def _log_level(level: float, hypotheses: Hypotheses) -> float:
+    return float(np.log(level_of_one(level, hypotheses.tests)))
+
+
 def _non_centrality(log_level: float, degrees: int, redundancy: int) -> float:
     """lambda of an error that is found with the usual power by a test of F."""
     limit = fdtri(degrees, redundancy, -np.expm1(log_level))
     return float(ncfdtrinc(degrees, redundancy, 1 - POWER, limit))
-
-
-def _without(given: Adjustment, state: _State) -> Adjustment | None:
-    """The given block adjusted without the errors that a state accepts, from where the state stands; None where that
-    does not converge."""
-    block = with_errors_removed(given.block, state.elementary())
-    now = state.adjustment.block
-    points = np.where(given.block.structure.point_free, np.asarray(now.object_points), np.asarray(block.object_points))
-    block = eqx.tree_at(
-        lambda b: (b.exterior, b.interior, b.parameters, b.object_points),
-        block,
-        (now.exterior, now.interior, now.parameters, on_device(points)),
-    )
-    again = adjust(block)
-    return again if again.status is Status.CONVERGED and not again.undetermined else None
 
 
 def with_errors_removed(block: Block, errors: Sequence[tuple[ErrorColumn, float]]) -> Block:
