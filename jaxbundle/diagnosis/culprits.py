@@ -47,7 +47,8 @@ def culprit_findings(adjustment: Adjustment) -> tuple[Finding, ...]:
 def findings_of_suspects(suspects: Suspects, sigma0: float) -> tuple[Finding, ...]:
     """A finding for each of the first suspicions, and one that counts the others. `sigma0`: of the adjustment."""
     named, rest = suspects.suspicions[:NAMED], suspects.suspicions[NAMED:]
-    found = [_finding(suspicion, sigma0) for suspicion in named]
+    before = [sigma0, *(suspicion.sigma0_without for suspicion in named)]
+    found = [_finding(suspicion, sigma0) for suspicion, sigma0 in zip(named, before, strict=False)]
     if rest:
         at_least = "at least " if len(suspects.suspicions) >= MOST else ""
         one = len(rest) == 1 and not at_least
@@ -68,7 +69,7 @@ def _finding(s: Suspicion, sigma0: float) -> Finding:
         Cause.IMAGE: _image,
     }
     kind = Kind.SUSPECT if s.cause in (Cause.VALUE, Cause.AXES, Cause.NAMES) else Kind.SYSTEMATIC
-    what = f"{words[s.cause](s)}; without {_it(s)} sigma0 would be {s.sigma0_without:.3g} instead of {sigma0:.3g}"
+    what = f"{words[s.cause](s)}; without {_it(s)} sigma0 falls from {sigma0:.3g} to {s.sigma0_without:.3g}"
     told = np.abs(np.nan_to_num(s.error))
     place = int(np.argmax(told / np.where(s.deviations > 0, s.deviations, np.inf))) if len(told) else 0
     alternatives = (subject for subjects in s.alternatives for subject in subjects)

@@ -23,7 +23,7 @@ from jaxbundle.solve.adjust import adjust
 from jaxbundle.solve.adjustment import Adjustment, Status
 
 LIMIT = 2.0  # k: normal errors of this size lose nothing at first
-FIRST, THEN = 4, 4  # rounds
+FIRST, THEN = 3, 3  # rounds
 LEAST = 1e-6  # weight
 NORMAL = 1.4826  # standard deviation over median of the absolute values of normal errors
 

@@ -179,11 +179,13 @@ def log_probability(f: np.ndarray, one: np.ndarray, two: np.ndarray) -> np.ndarr
     """log of the probability that Fisher's F exceeds f, where it is far below the smallest number too."""
     one, two, f = np.maximum(one, 1), np.maximum(two, 1), np.maximum(f, 0.0)
     plain = fdtrc(one, two, f)
-    x, a, b = two / (two + one * f), two / 2, one / 2
-    with np.errstate(divide="ignore", invalid="ignore"):
+    log = np.log(np.maximum(plain, TINY))
+    far = plain <= TINY
+    x, a, b = (two / (two + one * f))[far], two[far] / 2, one[far] / 2
+    with np.errstate(divide="ignore"):
         series = hyp2f1(a + b, 1.0, a + 1.0, x)  # I_x(a, b), Abramowitz and Stegun (1964) 26.5.4
-        tail = a * np.log(x) + b * np.log1p(-x) - np.log(a) - betaln(a, b) + np.log(series)
-        return np.where(plain > TINY, np.log(plain), tail)
+        log[far] = a * np.log(x) + b * np.log1p(-x) - np.log(a) - betaln(a, b) + np.log(series)
+    return log
 
 
 def _pseudo_inverses(

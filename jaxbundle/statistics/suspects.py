@@ -42,7 +42,7 @@ class Suspicion(NamedTuple):
     `subjects` are wrong together; each of `alternatives`, in its place, would explain the same. `error`: observed less
     true value of each component, NaN where the residuals show too little of it; `units`, `deviations` and the minimal
     detectable errors go with it. `statistic` is T, `probability` its logarithm to the base 10. `shown`: the part of the
-    error that the residuals show.
+    error that the residuals show. `sigma0_without`: when this error and those of all graver suspicions are taken out.
     """
 
     subjects: tuple[Subject, ...]
@@ -232,7 +232,7 @@ class _State:
     def _suspicion(self, place: int, sigma0: float) -> Suspicion:
         number = self.accepted[place]
         h, others = self._of_number(number), [k for k in self.accepted if k != number]
-        tested, alone = self.selection.tested(others), self.selection.given([number])
+        tested, without = self.selection.tested(others), self.selection.given(self.accepted[: place + 1])
         sizes, deviations = (part[place] for part in self.estimated)
         factor = max(sigma0, 1.0)
         redundancy = self.selection.given(others).redundancy
@@ -256,7 +256,7 @@ class _State:
             int(tested.degrees[number]),
             float(tested.log_probability[number] / np.log(10)),
             float(tested.shown[number]),
-            float(np.sqrt(max(alone.vtpv, 0.0) / max(alone.redundancy, 1))),
+            float(np.sqrt(max(without.vtpv, 0.0) / max(without.redundancy, 1))),
         )
 
     def _user_scale(self, h: Hypothesis) -> np.ndarray:
