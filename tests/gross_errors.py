@@ -107,8 +107,8 @@ BLOCKS = {f.__name__: f for f in (strip, weighted, stations, self_calibrating, c
 
 @dataclass(frozen=True)
 class Mistake:
-    """One mistake: the subjects that are wrong, and the elementary errors of a unit size; `fixed` is its size where it is
-    no matter of choice."""
+    """One mistake: the subjects that are wrong, and the elementary errors of a unit size; `fixed`: its size is 1, which
+    is no matter of choice."""
 
     subjects: tuple[Subject, ...]
     errors: tuple[tuple[ErrorColumn, float], ...]

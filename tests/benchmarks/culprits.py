@@ -1,7 +1,7 @@
 """Who is named: python tests/benchmarks/culprits.py [--draws 8] [--clean 40] [--seed 1] [--blocks strip weighted ...]
 
-Simulated blocks get one mistake each, of a size in multiples of the smallest error that the test at its level (5 % of all
-tests together) finds with its power (80 %). A line for each kind and size: draws, those that did not converge, the
+Simulated blocks get one mistake each, of a size in multiples of the smallest error that the test at its level (5 % of
+all tests together) finds with its power (80 %). A line for each kind and size: draws, those that did not converge, the
 culprit named first, named at all, draws in which others are named too. What cannot be told apart counts as named.
 """
 
