@@ -6,7 +6,7 @@ Nothing changes its shape, so all rounds run in the program of the first adjustm
 """
 
 import dataclasses
-from collections.abc import Sequence
+from collections.abc import Iterator, Sequence
 from typing import NamedTuple
 
 import equinox as eqx
@@ -62,12 +62,12 @@ class Suspicion(NamedTuple):
 
 class Suspects(NamedTuple):
     """The suspicions, the gravest first; sigma0 when the errors of all of them are taken out; the adjustment without
-    these errors, None where there are none. `members`: rows (table, row) that are wrong, of each suspicion."""
+    these errors, None where there are none. `observations`: table, row and component of what each says is wrong."""
 
     suspicions: tuple[Suspicion, ...]
     sigma0: float
     adjustment: Adjustment | None
-    members: tuple[frozenset[tuple[int, int]], ...]
+    observations: tuple[tuple[tuple[int, int, int], ...], ...]
 
 
 def testable(adjustment: Adjustment) -> bool:
@@ -226,8 +226,16 @@ class _State:
         left = self.selection.given(self.accepted)
         sigma0 = float(np.sqrt(max(left.vtpv, 0.0) / max(left.redundancy, 1)))
         suspicions = [self._suspicion(i, sigma0) for i in range(len(self.accepted))]
-        members = tuple(self._of_number(k).members for k in self.accepted)
-        return Suspects(tuple(suspicions), sigma0, self.adjustment, members)
+        observations = tuple(tuple(self._observations(k)) for k in self.accepted)
+        return Suspects(tuple(suspicions), sigma0, self.adjustment, observations)
+
+    def _observations(self, number: int) -> Iterator[tuple[int, int, int]]:
+        """What a hypothesis says is wrong, in the order of its columns."""
+        h = self.hypotheses
+        for elementary in np.unique(h.combinations[:, list(h.every[number].columns)].indices):
+            column = h.elementary[elementary]
+            for row, component in zip(column.member.tolist(), column.component.tolist(), strict=True):
+                yield column.table, row, component
 
     def _suspicion(self, place: int, sigma0: float) -> Suspicion:
         number = self.accepted[place]
