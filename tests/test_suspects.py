@@ -36,7 +36,7 @@ def wrong(simulated: Simulated, kind: str, size: float, seed: int = 2):
 
 
 def test_quantities_are_those_of_the_cofactors_of_the_residuals(simulated, monkeypatch):
-    """M = C^T Q_vv C by the orthogonal factor of A, and by the elimination of the points; its diagonal tells r and w."""
+    """M = C^T Q_vv C, whole or by the elimination of the points; its diagonal tells r and w."""
     adjustment = simulated.start
     tables = reliability(adjustment)
     hypotheses = possible_errors(adjustment.block, tables.w)
