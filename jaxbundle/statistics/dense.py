@@ -8,25 +8,23 @@ A N^-1 A^T = U U^T,   r = 1 - diag(U U^T)  redundancy numbers of the observation
 from collections.abc import Sequence
 from typing import NamedTuple
 
-import jax
 import jax.numpy as jnp
 import numpy as np
-from jax.flatten_util import ravel_pytree
 from jaxtyping import Array, Bool, Float, Int
 
 from jaxbundle.block.block import Block, Structure
-from jaxbundle.block.residuals import Observations, observations_of, weighted_residuals
-from jaxbundle.block.unknowns import Correction, Unknowns, angle_derivatives, corrected, unknowns_of
+from jaxbundle.block.residuals import Observations, observations_of
+from jaxbundle.block.unknowns import Unknowns, angle_derivatives, unknowns_of
 from jaxbundle.normals.inverse_factor import inverse_factor
 from jaxbundle.numerics.compilation import Compiled
 from jaxbundle.numerics.host import on_device
 from jaxbundle.solve.adjustment import Adjustment
 from jaxbundle.solve.robust import reweighted
+from jaxbundle.statistics.design import design_columns, elements, free_elements
 from jaxbundle.statistics.subsets import Subset
 
 MOST_UNKNOWNS = 3000  # A of 10 000 observations takes 240 MB
 UNKNOWNS_FOR_OPTIMISATION = 500  # below, the design matrix takes less time than optimising its program
-COLUMNS_AT_ONCE = 32
 LEAST_PIVOT = 1e-11  # of a column of A: as in the search for undetermined unknowns, below rounding decides
 
 
@@ -107,20 +105,18 @@ def block_system(block: Block) -> DenseSystem:
         )
     centred = block.moved(-np.asarray(block.exterior.projection_centre).mean(0))
     observations = observations_of(centred)
-    free = np.flatnonzero(np.concatenate([np.ravel(mask) for mask in _free_masks(observations)]))
-    padded = np.full(-(-len(free) // COLUMNS_AT_ONCE) * COLUMNS_AT_ONCE, _elements(observations))
-    padded[: len(free)] = free
+    free = free_elements(observations)
     orthogonal, inverse, pivots, turned = _factors(
         unknowns_of(centred),
         observations,
-        on_device(padded.reshape(-1, COLUMNS_AT_ONCE), np.int32),
+        on_device(free.chunks, np.int32),
         block.exterior.angles,
-        optimised=len(free) >= UNKNOWNS_FOR_OPTIMISATION,
+        optimised=free.count >= UNKNOWNS_FOR_OPTIMISATION,
     )
-    if not np.all(np.asarray(pivots)[: len(free)] > LEAST_PIVOT):
+    if not np.all(np.asarray(pivots)[: free.count] > LEAST_PIVOT):
         raise ValueError("the observations leave some unknowns undetermined; adjust() names them")
-    orthogonal, inverse = np.array(orthogonal[:, : len(free)]), np.array(inverse[: len(free), : len(free)])
-    exterior = np.zeros((6, len(structure.image_names), len(free)))
+    orthogonal, inverse = np.array(orthogonal[:, : free.count]), np.array(inverse[: free.count, : free.count])
+    exterior = np.zeros((6, len(structure.image_names), free.count))
     exterior[structure.exterior_free.T] = inverse[: structure.exterior_free.sum()]
     exterior[3:] = np.einsum("abi,bif->aif", np.asarray(turned), exterior[3:])
     inverse[: structure.exterior_free.sum()] = exterior[structure.exterior_free.T]
@@ -148,10 +144,10 @@ def _factors(
     By two Cholesky factorisations, N = A^T A and then U^T U once more (CholeskyQR2, Yamamoto et al. 2015): as exact as
     Householder's while N has a factor at all, and free of LAPACK's threads.
     """
-    columns = _design_columns(unknowns, o, free)
+    columns = design_columns(unknowns, o, free)
     lengths = jnp.linalg.norm(columns, axis=1)
     scale = jnp.where(lengths > 0, 1 / jnp.where(lengths > 0, lengths, 1.0), 0.0)
-    missing = free.ravel() >= _elements(o)
+    missing = free.ravel() >= elements(o)
     design = (columns * scale[:, None]).T
     first = inverse_factor(design.T @ design + jnp.diag(1.0 * missing))
     nearly = design @ first.T
@@ -159,29 +155,3 @@ def _factors(
     turned = angle_derivatives(unknowns.rotation, o.in_angles, reference.T, o.system)
     inverse = scale[:, None] * (second @ first).T
     return nearly @ second.T, inverse, 1 / jnp.diagonal(first) ** 2, turned
-
-
-def _free_masks(o: Observations) -> tuple[Array, ...]:
-    return o.exterior_free, o.interior_free, o.parameter_free, o.point_free
-
-
-def _elements(o: Observations) -> int:
-    """Number of elements that may be unknown."""
-    return sum(mask.size for mask in _free_masks(o))
-
-
-def _design_columns(
-    unknowns: Unknowns, o: Observations, free: Int[Array, "chunk at_once"]
-) -> Float[Array, "column observation"]:
-    """Columns of A, 0 for a number beyond the last; observations in the order of the tables."""
-    zero, unflatten = ravel_pytree(tuple(jnp.zeros(mask.shape) for mask in _free_masks(o)))
-
-    def residuals(correction: Float[Array, " element"]) -> Float[Array, " observation"]:
-        exterior, by_column, parameters, points = unflatten(correction)
-        interior = jnp.zeros_like(unknowns.interior).at[np.array(o.columns, int)].set(by_column)
-        moved = corrected(unknowns, Correction(exterior, interior, parameters, points), o.in_angles, o.system)
-        return jnp.concatenate([v.T.ravel() for v in weighted_residuals(moved, o)])
-
-    _, linear = jax.linearize(residuals, zero)
-    columns = jax.lax.map(jax.vmap(lambda k: linear(zero.at[k].set(1.0, mode="drop"))), free)
-    return columns.reshape(free.size, -1)

@@ -1,8 +1,10 @@
-"""Data snooping (Baarda 1968): the observation with the largest |w| is removed, the block is adjusted again, and so on.
+"""Data snooping (Baarda 1968): the most suspect observation is removed, the block is adjusted again, and so on.
 
-One observation at a time: a gross error raises the residuals of its neighbours too. What nothing controls is left.
+The suspicions are those of `suspects`: a control point that is wrong as a whole is removed as a whole, a fixed one gets
+unknown coordinates. A group that disagrees as a whole is told by `suspects` and not removed.
 """
 
+import dataclasses
 from typing import NamedTuple
 
 import numpy as np
@@ -12,13 +14,17 @@ from jaxbundle.block.changes import without_component, without_ray
 from jaxbundle.block.given import require_a
 from jaxbundle.solve.adjust import adjust
 from jaxbundle.solve.adjustment import Adjustment
-from jaxbundle.statistics.reliability import UNCONTROLLED, critical_w, level_of_one, reliability
+from jaxbundle.statistics.error_columns import FIXED
+from jaxbundle.statistics.hypotheses import Cause
+from jaxbundle.statistics.reliability import redundancy_numbers
+from jaxbundle.statistics.suspects import LEVEL, find_suspects
 
-LEVEL = 0.05  # that any good observation at all is suspected
+SINGLE = (Cause.VALUE, Cause.NAMES, Cause.AXES)
 
 
 class Removed(NamedTuple):
-    """One removed observation in the user's names, its w, residual and redundancy number before, sigma0 after."""
+    """One removed row in the user's names, `component` "" if as a whole, and sigma0 after. Before: `w`, the root of its
+    T, which is |w| of one component; residual and redundancy number of its worst component, NaN if it is fixed."""
 
     table: str
     names: tuple[str, ...]
@@ -50,38 +56,56 @@ def snoop(adjustment: Adjustment, level: float = LEVEL, most: int = 50) -> Snoop
     Raises: ValueError where the adjustment has no redundancy numbers.
     """
     require_a(Adjustment, adjustment, "snoop")
+    redundancy_numbers(adjustment)
     removed: list[Removed] = []
     while len(removed) < most:
         worst = _worst(adjustment, level)
         if worst is None:
-            return Snooping(adjustment, tuple(removed), True)
-        table, row, component, found = worst
-        block = adjustment.block
-        if table == 0:
-            block = without_ray(block, row)
-        else:
-            block = without_component(block, table - 1, row, component)
-        adjustment = adjust(block)
+            break
+        observations, found = worst
+        adjustment = adjust(_without(adjustment.block, observations))
         removed.append(found._replace(sigma0=float(adjustment.sigma0)))
-    return Snooping(adjustment, tuple(removed), _worst(adjustment, level) is None)
+    return Snooping(adjustment, tuple(removed), not find_suspects(adjustment, level).suspicions)
 
 
-def _worst(adjustment: Adjustment, level: float) -> tuple[int, int, int, Removed] | None:
-    """Table, row, component and description of the largest |w| beyond its limit; None where none is."""
-    tables = reliability(adjustment)
-    limit = critical_w(level_of_one(level, adjustment.observations))
-    best, place = limit, None
-    for k, (w, r) in enumerate(zip(tables.w, tables.redundancy_numbers, strict=True)):
-        size = np.where(r > UNCONTROLLED, np.abs(w), 0.0)
-        if size.size and size.max() > best:
-            best, place = float(size.max()), (k, *np.unravel_index(int(np.argmax(size)), size.shape))
-    if place is None:
-        return None
-    k, row, component = (int(x) for x in place)
-    names, table, what = describe(adjustment.block, k, row, component)
-    w, residual = tables.w[k][row, component], float(adjustment.residuals[k][row, component])
-    number = tables.redundancy_numbers[k][row, component]
-    return k, row, component, Removed(table, names, what, float(w), residual, float(number), np.nan)
+def _worst(adjustment: Adjustment, level: float) -> tuple[tuple[tuple[int, int, int], ...], Removed] | None:
+    """Table, row and component of the most suspect observations, and their description; None where none is."""
+    found = find_suspects(adjustment, level)
+    for suspicion, observations in zip(found.suspicions, found.observations, strict=True):
+        if suspicion.cause not in SINGLE:
+            continue
+        table, row, _ = observations[0]
+        own = [o for o in observations if o[0] != FIXED]
+        r, v = redundancy_numbers(adjustment), adjustment.residuals
+        residual, number = np.nan, np.nan
+        if own:
+            k, *place = max(own, key=lambda o: abs(float(adjustment.weighted_residuals[o[0]][o[1], o[2]])))
+            residual, number = float(v[k][tuple(place)]), float(r[k][tuple(place)])
+        component = suspicion.subjects[0].component if table else ""
+        name, w = "ray" if table == 0 else suspicion.subjects[0].table, float(np.sqrt(suspicion.statistic))
+        names = suspicion.subjects[0].names
+        return observations, Removed(name, names, component, w, residual, number, np.nan)
+    return None
+
+
+def _without(block: Block, observations: tuple[tuple[int, int, int], ...]) -> Block:
+    """The block without some observations of one row; fixed coordinates become unknown."""
+    for table, row, component in observations:
+        if table == FIXED:
+            free = block.structure.point_free.copy()
+            free[row, component] = True
+            block = dataclasses.replace(block, structure=dataclasses.replace(block.structure, point_free=free))
+        elif table > 0:
+            block = without_component(block, table - 1, row, component)
+    s = block.structure
+    for image, name in {
+        (s.ray_image[row], s.point_names[s.ray_point[row]]) for table, row, _ in observations if not table
+    }:
+        s = block.structure  # a point that is left with one ray is gone, and all numbers behind it are others
+        if name in s.point_names:
+            rays = (s.ray_image == image) & (s.ray_point == s.point_names.index(name))
+            block = without_ray(block, int(np.argmax(rays))) if rays.any() else block
+    return block
 
 
 def describe(block: Block, table: int, row: int, component: int) -> tuple[tuple[str, ...], str, str]:

@@ -1,0 +1,80 @@
+"""Residuals as a function of the corrections of all unknowns: what the design matrix, whole or transposed, is made of.
+
+Observations follow the tables of an adjustment, row by row: the rays first, then every group.
+"""
+
+from collections.abc import Callable
+from typing import NamedTuple
+
+import jax
+import jax.numpy as jnp
+import numpy as np
+from jax.flatten_util import ravel_pytree
+from jaxtyping import Array, Float, Int
+
+from jaxbundle.block.residuals import Observations, weighted_residuals
+from jaxbundle.block.unknowns import Correction, Unknowns, corrected
+
+COLUMNS_AT_ONCE = 32
+
+
+class Corrections(NamedTuple):
+    """Corrections of everything that may be unknown; angles are small ones about the attitudes reached."""
+
+    exterior: Float[Array, "6 image"]
+    interior: Float[Array, "column camera"]
+    parameters: Float[Array, " parameter"]
+    points: Float[Array, "3 point"]
+
+
+def free_masks(o: Observations) -> tuple[Array, ...]:
+    """Which elements are free, in the shapes of `Corrections`."""
+    return o.exterior_free, o.interior_free, o.parameter_free, o.point_free
+
+
+def no_corrections(o: Observations) -> Corrections:
+    """Zeros."""
+    return Corrections(*(jnp.zeros(mask.shape) for mask in free_masks(o)))
+
+
+def residuals_after(unknowns: Unknowns, o: Observations) -> Callable[[Corrections], Float[Array, " observation"]]:
+    """Residuals over their sigmas as a function of the corrections; what is held may be corrected too."""
+
+    def residuals(corrections: Corrections) -> Float[Array, " observation"]:
+        interior = jnp.zeros_like(unknowns.interior).at[np.array(o.columns, int)].set(corrections.interior)
+        correction = Correction(corrections.exterior, interior, corrections.parameters, corrections.points)
+        moved = corrected(unknowns, correction, o.in_angles, o.system)
+        return jnp.concatenate([v.T.ravel() for v in weighted_residuals(moved, o)])
+
+    return residuals
+
+
+def elements(o: Observations) -> int:
+    """Number of elements that may be unknown."""
+    return sum(mask.size for mask in free_masks(o))
+
+
+class FreeElements(NamedTuple):
+    """Numbers of the free elements, in chunks padded with a number beyond the last; how many there are."""
+
+    chunks: Int[np.ndarray, "chunk at_once"]
+    count: int
+
+
+def free_elements(o: Observations) -> FreeElements:
+    """The columns of the design matrix among all elements."""
+    free = np.flatnonzero(np.concatenate([np.ravel(mask) for mask in free_masks(o)]))
+    padded = np.full(-(-len(free) // COLUMNS_AT_ONCE) * COLUMNS_AT_ONCE, elements(o))
+    padded[: len(free)] = free
+    return FreeElements(padded.reshape(-1, COLUMNS_AT_ONCE), len(free))
+
+
+def design_columns(
+    unknowns: Unknowns, o: Observations, free: Int[Array, "chunk at_once"]
+) -> Float[Array, "column observation"]:
+    """Columns of A, 0 for a number beyond the last."""
+    zero, unflatten = ravel_pytree(no_corrections(o))
+    residuals = residuals_after(unknowns, o)
+    _, linear = jax.linearize(lambda correction: residuals(unflatten(correction)), zero)
+    columns = jax.lax.map(jax.vmap(lambda k: linear(zero.at[k].set(1.0, mode="drop"))), free)
+    return columns.reshape(free.size, -1)

@@ -1,0 +1,242 @@
+"""How errors of observations act, column by column, and what the residuals say of each.
+
+A column of B is the effect of a unit error on the observations. An error in a fixed coordinate acts on what touches its
+point: its column is minus that of the design matrix. With C = P^1/2 B and the weighted residuals v,
+
+    g = C^T v,    M = C^T C - (A^T C)^T N^-1 (A^T C) = B^T P Q_vv P B
+
+tell everything about any combination of the columns (Baarda 1968, Foerstner 1983, Teunissen 2000): its most probable
+size is -M^-1 g, and g^T M^-1 g is by how much v^T P v falls when it is taken out. N^-1 comes from one factorisation for
+all columns. M does not depend on the datum.
+
+The residuals of an adjustment are orthogonal to A. Where they are not, because they stand at other values of the
+unknowns, the part that a step of Gauss-Newton would explain is taken off: v becomes one column more.
+"""
+
+from collections.abc import Sequence
+from typing import NamedTuple
+
+import equinox as eqx
+import jax
+import jax.numpy as jnp
+import numpy as np
+import scipy.sparse as sp
+from jaxtyping import Array, Float, Int
+from scipy.linalg import solve_triangular
+
+from jaxbundle.block.block import Block
+from jaxbundle.block.datum import with_datum
+from jaxbundle.block.residuals import Observations, observations_of
+from jaxbundle.block.unknowns import Unknowns, unknowns_of
+from jaxbundle.normals.arrange import Arranged, Problem, arrange, arranged_unknowns, problem
+from jaxbundle.normals.solution import solve_normals
+from jaxbundle.normals.vector import NormalVector, arranged_vectors
+from jaxbundle.numerics.compilation import RAYS_FOR_OPTIMISATION, Compiled
+from jaxbundle.numerics.host import on_device
+from jaxbundle.numerics.shapes import grid_size
+from jaxbundle.statistics.design import Corrections, design_columns, free_elements, no_corrections, residuals_after
+
+MOST_DENSE = 1500  # unknowns: up to here the whole design matrix takes less time than a solution for each column
+FIXED = -1  # table of a fixed coordinate: it is not observed
+
+
+class ErrorColumn(NamedTuple):
+    """A unit error: `values` are added to components of members of a table, in the frame of its residuals.
+
+    Tables are numbered as those of the residuals; FIXED is that of the object points, components are X, Y, Z.
+    """
+
+    table: int
+    member: Int[np.ndarray, " entry"]
+    component: Int[np.ndarray, " entry"]
+    values: Float[np.ndarray, " entry"]
+
+
+class ErrorTests(NamedTuple):
+    """g and M of all columns, the diagonal of C^T C, v^T P v and the redundancy."""
+
+    right: Float[np.ndarray, " column"]
+    matrix: Float[np.ndarray, "column column"]
+    lengths: Float[np.ndarray, " column"]
+    vtpv: float
+    redundancy: int
+
+    def combined(self, combinations: sp.csc_matrix) -> "ErrorTests":
+        """The same of combinations of the columns, the columns of a matrix."""
+        both = combinations.T @ (combinations.T @ self.matrix).T
+        lengths = np.asarray(combinations.multiply(combinations).T @ self.lengths).ravel()
+        return self._replace(right=combinations.T @ self.right, matrix=both, lengths=lengths)
+
+
+def error_tests(block: Block, residuals: Sequence[np.ndarray], columns: Sequence[ErrorColumn]) -> ErrorTests:
+    """g and M at the values of a block; `residuals`: tables of the weighted residuals there.
+
+    A large block must be adjusted.
+    """
+    block = with_datum(block)
+    centres = np.asarray(block.exterior.projection_centre)
+    centred = block.moved(on_device(-centres.mean(0)))
+    unknowns, observations = unknowns_of(centred), observations_of(centred)
+    c = _weighted_columns(block, columns, unknowns, observations)
+    v = np.concatenate([np.asarray(table).ravel() for table in residuals])
+    gram, right, vtpv = (c.T @ c).toarray(), c.T @ v, float(v @ v)
+    lengths = np.diagonal(gram).copy()
+    if block.structure.unknowns > MOST_DENSE:
+        explained = _explained_by_elimination(block, centred, unknowns, _transposed_products(unknowns, observations, c))
+    else:
+        explained, by_step, gain = _explained_densely(unknowns, observations, c, v)
+        right, vtpv = right - by_step, vtpv - gain
+    return ErrorTests(right, gram - explained, lengths, vtpv, block.redundancy)
+
+
+def _explained_densely(
+    unknowns: Unknowns, o: Observations, c: sp.csc_matrix, v: Float[np.ndarray, " observation"]
+) -> tuple[Float[np.ndarray, "column column"], Float[np.ndarray, " column"], float]:
+    """(A^T C)^T N^-1 (A^T C), the same with A^T v on the right and on both sides, by the whole design matrix."""
+    free = free_elements(o)
+    a = np.asarray(_design(unknowns, o, on_device(free.chunks, np.int32), optimised=False))[: free.count]
+    a = a / np.linalg.norm(a, axis=1)[:, None]
+    factor = np.linalg.cholesky(a @ a.T)
+    half = solve_triangular(factor, np.concatenate([c.T @ a.T, (a @ v)[None]]).T, lower=True)
+    products = half.T @ half
+    return products[:-1, :-1], products[:-1, -1], float(products[-1, -1])
+
+
+@Compiled
+def _design(
+    unknowns: Unknowns, o: Observations, free: Int[Array, "chunk at_once"]
+) -> Float[Array, "column observation"]:
+    return design_columns(unknowns, o, free)
+
+
+def _explained_by_elimination(
+    block: Block, centred: Block, unknowns: Unknowns, products: tuple[np.ndarray, ...]
+) -> Float[np.ndarray, "column column"]:
+    """(A^T C)^T N^-1 (A^T C) by the elimination of the points."""
+    centres = np.asarray(block.exterior.projection_centre)
+    plan = arrange(block.structure, block.groups, centres, 1, "auto", True)
+    padded = [np.pad(x, [(0, grid_size(len(x)) - len(x)), *[(0, 0)] * (x.ndim - 1)]) for x in products]
+    rows = NormalVector(*map(on_device, arranged_vectors(plan, block.structure, *padded)))
+    optimised = len(block.structure.ray_image) >= RAYS_FOR_OPTIMISATION
+    found = _explained(arranged_unknowns(plan, unknowns), problem(plan, centred), rows, optimised=optimised)
+    count = len(products[0])
+    return np.asarray(found)[:count, :count]
+
+
+@Compiled
+def _explained(unknowns: Arranged, p: Problem, rows: NormalVector) -> Float[Array, "column column"]:
+    """(A^T C)^T N^-1 (A^T C)."""
+    q = solve_normals(unknowns, p, rows)
+    products = [jnp.einsum("fa,ga->fg", *(x.reshape(len(x), -1) for x in pair)) for pair in zip(rows, q, strict=True)]
+    found = sum(products[1:], products[0])
+    return (found + found.T) / 2
+
+
+def _weighted_columns(
+    block: Block, columns: Sequence[ErrorColumn], unknowns: Unknowns, o: Observations
+) -> sp.csc_matrix:
+    """C."""
+    sizes = [2 * len(block.structure.ray_image), *(group.structure.observed.size for group in block.groups)]
+    start = np.concatenate([[0], np.cumsum(sizes)])
+    weights = 1 / np.asarray(block.rays.sigmas), *(np.asarray(group.weights) for group in block.groups)
+    fixed = None
+    entries = []
+    for column in columns:
+        if column.table == FIXED:
+            fixed = _fixed_effects(block, unknowns, o) if fixed is None else fixed
+            entries.append(fixed.of(column))
+        else:
+            entries.append(_observed_effects(column, weights[column.table], int(start[column.table])))
+    rows, values = (np.concatenate(part) for part in zip(*entries, strict=True))
+    ends = np.concatenate([[0], np.cumsum([len(part[0]) for part in entries])])
+    return sp.csc_matrix((values, rows, ends), (start[-1], len(columns)))
+
+
+def _observed_effects(column: ErrorColumn, weights: np.ndarray, first: int) -> tuple[np.ndarray, np.ndarray]:
+    """Observations and their changes over the sigmas; `first`: number of the table's first observation."""
+    width = weights.shape[1]
+    if weights.ndim == 2:
+        rows = first + width * column.member + column.component
+        return rows, weights[column.member, column.component] * column.values
+    rows = first + width * column.member[:, None] + np.arange(width)  # correlated components: columns of L^-1
+    return rows.ravel(), (weights[column.member, :, column.component] * column.values[:, None]).ravel()
+
+
+class _FixedEffects(NamedTuple):
+    """Changes of all weighted residuals by a unit shift of all fixed points along each axis, and whose they are."""
+
+    changes: Float[np.ndarray, "3 observation"]
+    point: Int[np.ndarray, " observation"]
+
+    def of(self, column: ErrorColumn) -> tuple[np.ndarray, np.ndarray]:
+        """Minus the columns of A: the point lies where its rays meet, its given coordinates are wrong."""
+        rows = [np.flatnonzero(self.point == point) for point in column.member]
+        values = [
+            -value * self.changes[axis, of_point]
+            for of_point, axis, value in zip(rows, column.component, column.values, strict=True)
+        ]
+        return np.concatenate(rows), np.concatenate(values)
+
+
+def _fixed_effects(block: Block, unknowns: Unknowns, o: Observations) -> _FixedEffects:
+    """Of all points with a fixed coordinate; an observation between two of them is nobody's."""
+    s = block.structure
+    fixed = ~s.point_free.all(1)
+    owners = [np.repeat(np.where(fixed[s.ray_point], s.ray_point, -1), 2)]
+    for group in block.groups:
+        g = group.structure
+        touched = [g.indices[:, k] for k, kind in enumerate(g.kind.touches) if kind == "point"]
+        owner = np.full(len(g.indices), -1)
+        if touched:
+            points = np.where(fixed[touched], touched, -1)
+            owner = np.where((points >= 0).sum(0) == 1, points.max(0), -1)
+        owners.append(np.repeat(owner, g.observed.shape[1]))
+    optimised = len(s.ray_image) >= RAYS_FOR_OPTIMISATION
+    changes = _changes_by_points(unknowns, o, on_device(fixed), optimised=optimised)
+    return _FixedEffects(np.asarray(changes), np.concatenate(owners))
+
+
+@Compiled
+def _changes_by_points(unknowns: Unknowns, o: Observations, moved: Array) -> Float[Array, "3 observation"]:
+    """Changes of the weighted residuals by a unit shift of the `moved` points along X, Y and Z."""
+    zero, residuals = no_corrections(o), residuals_after(unknowns, o)
+
+    def along(axis: Array) -> Float[Array, " observation"]:
+        return jax.jvp(residuals, (zero,), (zero._replace(points=axis[:, None] * moved),))[1]
+
+    return jax.lax.map(along, jnp.eye(3))
+
+
+def _transposed_products(
+    unknowns: Unknowns, o: Observations, c: sp.csc_matrix
+) -> tuple[np.ndarray, np.ndarray, np.ndarray, np.ndarray]:
+    """A^T C, vectors first: exterior by image, interior by camera, parameters, points.
+
+    The rays that no column touches are left out.
+    """
+    rays = len(o.ray_image)
+    touched = np.unique(c.indices[c.indices < 2 * rays] // 2)
+    chosen = np.zeros(grid_size(len(touched)), np.int32)
+    chosen[: len(touched)] = touched
+    used = np.arange(len(chosen)) < len(touched)
+    few = eqx.tree_at(
+        lambda x: (x.ray_image, x.ray_point, x.coordinates, x.weights),
+        o,
+        tuple(on_device(x) for x in (np.asarray(o.ray_image)[chosen], np.asarray(o.ray_point)[chosen]))
+        + tuple(on_device(x) for x in (np.asarray(o.coordinates)[:, chosen], np.asarray(o.weights)[:, chosen] * used)),
+    )
+    rows = np.concatenate([(2 * touched[:, None] + np.arange(2)).ravel(), np.arange(2 * rays, c.shape[0])])
+    columns = np.zeros((grid_size(c.shape[1]), 2 * len(chosen) + c.shape[0] - 2 * rays))
+    kept = c.tocsr()[rows].toarray().T
+    columns[: c.shape[1], : 2 * len(touched)] = kept[:, : 2 * len(touched)]
+    columns[: c.shape[1], 2 * len(chosen) :] = kept[:, 2 * len(touched) :]
+    found = _transposed(unknowns, few, on_device(columns), optimised=rays >= RAYS_FOR_OPTIMISATION)
+    exterior, interior, parameters, points = (np.asarray(part)[: c.shape[1]] for part in found)
+    return exterior.transpose(0, 2, 1), interior.transpose(0, 2, 1), parameters, points.transpose(0, 2, 1)
+
+
+@Compiled
+def _transposed(unknowns: Unknowns, o: Observations, columns: Float[Array, "column observation"]) -> Corrections:
+    """A^T of every column."""
+    _, transposed = jax.vjp(residuals_after(unknowns, o), no_corrections(o))
+    return jax.lax.map(lambda column: transposed(column)[0], columns)

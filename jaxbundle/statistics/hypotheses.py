@@ -1,0 +1,112 @@
+"""Hypotheses: what can be wrong with the observations of a block, each a few columns of errors.
+
+One row of a table as a whole and by component, a group that disagrees as a whole, and mistakes whose size is known
+beforehand: names or axes that are exchanged.
+"""
+
+from collections.abc import Callable
+from dataclasses import dataclass
+from enum import Enum
+
+import numpy as np
+import scipy.sparse as sp
+from jaxtyping import Float
+
+from jaxbundle.block.block import Block
+from jaxbundle.block.findings import Subject
+from jaxbundle.block.geodetic import ANGLES
+from jaxbundle.statistics.error_columns import ErrorColumn
+
+ANGLE_TABLES = (*ANGLES, "attitudes")
+
+
+class Cause(Enum):
+    """What is wrong; the order is that of preference where two explain the same."""
+
+    VALUE = "wrong value"
+    NAMES = "exchanged names"
+    AXES = "exchanged axes"
+    SHIFT = "common shift"
+    SCALE = "common scale"
+    IMAGE = "scale and shift of image coordinates"
+
+
+@dataclass(frozen=True)
+class Hypothesis:
+    """Errors of some observations in a common way: their size is that of the columns.
+
+    `members` are the rows of tables that it makes wrong, `columns` the numbers of its columns. Units are "" for a pure
+    number. `whole`: no single component of another one, and no mistake of a known size.
+    """
+
+    subjects: tuple[Subject, ...]
+    cause: Cause
+    columns: tuple[int, ...]
+    components: tuple[str, ...]
+    units: tuple[str, ...]
+    members: frozenset[tuple[int, int]]
+    whole: bool = True
+
+    @property
+    def key(self) -> tuple:
+        """Finds it again among other hypotheses of the same block."""
+        return self.cause, self.subjects
+
+    @property
+    def exact(self) -> bool:
+        """Whether its size is 1 if this is what happened."""
+        return self.cause in (Cause.NAMES, Cause.AXES)
+
+
+@dataclass(frozen=True)
+class Hypotheses:
+    """All hypotheses of a block; `combinations` makes their columns of the `elementary` ones, which are in the block's
+    own tables; `observations` are tested, if only by their w."""
+
+    every: tuple[Hypothesis, ...]
+    elementary: tuple[ErrorColumn, ...]
+    combinations: sp.csc_matrix
+    observations: int
+
+    @property
+    def tests(self) -> int:
+        """Number of tests: all observations and what is tested besides single ones."""
+        return self.observations + sum(h.whole for h in self.every)
+
+
+def image_points(block: Block) -> Float[np.ndarray, "ray 2"]:
+    """Measured image coordinates in the frame of the residuals, y up."""
+    s = block.structure
+    down = np.array([camera.image_unit == "px" for camera in s.cameras])[s.image_camera[s.ray_image]]
+    return np.asarray(block.rays.coordinates) * np.stack([np.ones(len(down)), np.where(down, -1.0, 1.0)], 1)
+
+
+def subject_of(block: Block, table: int, row: int) -> Subject:
+    """A row of a table in the user's names: of a navigation table the image, of a bar its ends."""
+    s = block.structure
+    if table == 0:
+        return Subject("rays", (s.image_names[s.ray_image[row]], s.point_names[s.ray_point[row]]))
+    structure = block.groups[table - 1].structure
+    names: dict[str, Callable[[int], str]] = {
+        "point": lambda k: s.point_names[k],
+        "image": lambda k: s.image_names[k],
+        "camera": lambda k: s.cameras[k].name,
+        "parameter": lambda k: s.parameters[k].name,
+    }
+    touched = list(zip(structure.kind.touches, structure.indices[row].tolist(), strict=True))
+    if structure.kind.touches[0] != "parameter":  # parameters belong to the row only where it is an observed one
+        touched = [(kind, k) for kind, k in touched if kind != "parameter"]
+    return Subject(structure.kind.name, tuple(names[kind](k) for kind, k in touched))
+
+
+def unit_of(block: Block, table: int, row: int) -> str:
+    """Unit of the values of a row as the user reads it."""
+    s = block.structure
+    if table == 0:
+        return s.cameras[s.image_camera[s.ray_image[row]]].image_unit
+    structure = block.groups[table - 1].structure
+    if structure.kind.touches == ("parameter",):
+        return s.parameters[structure.indices[row, 0]].unit
+    if structure.kind.touches == ("camera",):
+        return ""
+    return s.angle_unit if structure.kind.name in ANGLE_TABLES else s.object_unit

@@ -1,0 +1,351 @@
+"""All hypotheses about a block: which errors of its observations are tested, and the columns they are made of."""
+
+from collections.abc import Iterable, Sequence
+
+import numpy as np
+import scipy.sparse as sp
+from jaxtyping import Bool, Float, Int
+
+from jaxbundle.block.block import Block
+from jaxbundle.block.findings import Subject
+from jaxbundle.block.observations import ObservationGroup
+from jaxbundle.statistics.error_columns import FIXED, ErrorColumn
+from jaxbundle.statistics.hypotheses import (
+    ANGLE_TABLES,
+    Cause,
+    Hypotheses,
+    Hypothesis,
+    image_points,
+    subject_of,
+    unit_of,
+)
+
+RAYS = 40  # with the largest |w| that are tested: an error raises those of its neighbours, seldom of so many
+MEMBERS = 120  # of one table that are tested, those with the largest |w|
+IMAGES = 8  # whose rays are tested as a whole: those with the largest mean w^2
+FEWEST_RAYS = 4  # of an image or camera that is tested as a whole: scale and shift are 3 numbers
+WIDEST = 3e7  # rays times columns of images: beyond, only single rays are tested
+FEWEST_COLUMNS, MOST_COLUMNS = 60, 500
+NUMBERS = 3e7  # of all columns by all unknowns: 240 MB
+NEAR_POINTS = 1000  # of all differences of control points that are tested for exchanged names
+SCALED = ("distances", "horizontal_distances", "scale_bars")  # a wrong unit or scale makes all of them wrong alike
+
+
+def possible_errors(block: Block, w: Sequence[np.ndarray]) -> Hypotheses:
+    """Hypotheses about the observations of a block; `w`: tables of its standardised residuals, by which the most
+    suspect are chosen where there are many."""
+    return _Collection(block, [np.abs(np.nan_to_num(table, nan=0.0)) for table in w]).everything()
+
+
+class _Collection:
+    """Columns and hypotheses as they are found."""
+
+    def __init__(self, block: Block, w: list[np.ndarray]):
+        self.block, self.w, self.s = block, w, block.structure
+        self.columns: list[ErrorColumn] = []
+        self.combinations: list[tuple[Int[np.ndarray, " entry"], Float[np.ndarray, " entry"]]] = []
+        self.found: list[Hypothesis] = []
+        self.at: dict[tuple[int, int], dict[int, int]] = {}  # table, member -> component -> column
+        self.room = int(np.clip(NUMBERS / max(self.s.unknowns, 1), FEWEST_COLUMNS, MOST_COLUMNS))
+
+    def everything(self) -> Hypotheses:
+        """All of them."""
+        self._control()
+        for k, group in enumerate(self.block.groups, 1):
+            if not _is_control(group):
+                self._members(k, group)
+        self._rays()
+        self._groups()
+        self._scales()
+        self._images()
+        self._exchanged()
+        places = [np.full(len(rows), k) for k, (rows, _) in enumerate(self.combinations)]
+        values = np.concatenate([v for _, v in self.combinations])
+        rows = np.concatenate([r for r, _ in self.combinations])
+        shape = (len(self.columns), len(self.combinations))
+        combinations = sp.csc_matrix((values, (rows, np.concatenate(places))), shape)
+        return Hypotheses(tuple(self.found), tuple(self.columns), combinations, self.block.observations)
+
+    # columns
+
+    def _elementary(self, column: ErrorColumn) -> int:
+        self.columns.append(column)
+        return self._combined({len(self.columns) - 1: 1.0})
+
+    def _combined(self, parts: dict[int, float]) -> int:
+        """A column from elementary ones."""
+        self.combinations.append((np.array(list(parts), int), np.array(list(parts.values()), float)))
+        return len(self.combinations) - 1
+
+    def _single(self, table: int, member: int, components: Iterable[int]) -> dict[int, int]:
+        """Columns of some components of a row, by component; made once."""
+        own = self.at.setdefault((table, member), {})
+        for k in components:
+            if k not in own:
+                own[k] = self._elementary(ErrorColumn(table, np.array([member]), np.array([k]), np.ones(1)))
+        return own
+
+    def _parts(self, column: int, factor: float) -> dict[int, float]:
+        rows, values = self.combinations[column]
+        return {int(r): factor * float(v) for r, v in zip(rows, values, strict=True)}
+
+    # hypotheses
+
+    def _add(
+        self,
+        subject: Subject,
+        columns: Sequence[int],
+        components: Sequence[str],
+        unit: str,
+        members: Iterable[tuple[int, int]],
+    ) -> None:
+        """A row as a whole and, if it has several components, by component."""
+        covered, units = frozenset(members), (unit,) * len(columns)
+        self.found.append(Hypothesis((subject,), Cause.VALUE, tuple(columns), tuple(components), units, covered))
+        if len(columns) > 1:
+            self.found += [
+                Hypothesis(
+                    (subject._replace(component=name),), Cause.VALUE, (column,), (name,), (unit,), covered, False
+                )
+                for column, name in zip(columns, components, strict=True)
+            ]
+
+    def _control(self) -> None:
+        """Control points, whether their coordinates are observed or fixed."""
+        s, tables = self.s, [k for k, group in enumerate(self.block.groups, 1) if _is_control(group)]
+        fixed = ~s.point_free
+        rays = np.bincount(s.ray_point, minlength=len(s.point_names))
+        score = np.where(fixed.any(1) & (rays > 0), 1e-9, 0.0)
+        np.maximum.at(score, s.ray_point, np.where(score[s.ray_point] > 0, self.w[0].max(1), 0.0))
+        place: dict[int, list[tuple[int, int]]] = {}
+        for k in tables:
+            g = self.block.groups[k - 1].structure
+            for row in np.flatnonzero(g.observed.any(1)).tolist():
+                point = int(g.indices[row, 0])
+                place.setdefault(point, []).append((k, row))
+                score[point] = max(score[point], self.w[k][row].max(), 1e-9)
+        for point in _largest(score, min(MEMBERS, self.room // 4)).tolist():
+            columns: dict[int, int] = {}
+            members = [(FIXED, point)] if fixed[point].any() and rays[point] else []
+            if members:
+                columns |= self._single(FIXED, point, np.flatnonzero(fixed[point]).tolist())
+            for k, row in place.get(point, []):
+                observed = np.flatnonzero(self.block.groups[k - 1].structure.observed[row]).tolist()
+                columns |= self._single(k, row, observed)
+                members.append((k, row))
+            order = sorted(columns)
+            names = ["XYZ"[c] for c in order]
+            subject = Subject("control", (s.point_names[point],))
+            self._add(subject, [columns[c] for c in order], names, s.object_unit, members)
+
+    def _members(self, table: int, group: ObservationGroup) -> None:
+        """Rows of any other table."""
+        observed = group.structure.observed
+        score = np.where(observed.any(1), self.w[table].max(1, initial=0.0) + 1e-9, 0.0)
+        for row in _largest(score, min(MEMBERS, self.room // 8)).tolist():
+            components = np.flatnonzero(observed[row]).tolist()
+            columns = self._single(table, row, components)
+            names = [group.structure.kind.components[c] for c in components]
+            subject = subject_of(self.block, table, row)
+            unit = unit_of(self.block, table, row)
+            self._add(subject, [columns[c] for c in components], names, unit, [(table, row)])
+
+    def _rays(self) -> None:
+        for ray in _largest(self.w[0].max(1, initial=0.0), min(RAYS, self.room // 4)).tolist():
+            columns = self._single(0, ray, (0, 1))
+            self._add(
+                subject_of(self.block, 0, ray), [columns[0], columns[1]], "xy", unit_of(self.block, 0, ray), [(0, ray)]
+            )
+
+    def _groups(self) -> None:
+        """All control, and all rows of a table that share their systematic errors, against the rest: a common shift."""
+        tables: dict[str, list[tuple[str, list[tuple[int, int]]]]] = {}
+        s = self.s
+        control = [(FIXED, p) for p in np.flatnonzero(~s.point_free.all(1)).tolist()]
+        control += [
+            (k, row)
+            for k, group in enumerate(self.block.groups, 1)
+            if _is_control(group)
+            for row in np.flatnonzero(group.structure.observed.any(1)).tolist()
+        ]
+        tables["control"] = [("", control)]
+        for k, group in enumerate(self.block.groups, 1):
+            name = group.structure.kind.name
+            if name in ("stations", "attitudes"):
+                tables.setdefault(name, [])
+                tables[name] += [(of, [(k, r) for r in rows]) for of, rows in _sharing(self.block, group)]
+        for table, sets in tables.items():
+            for name, members in sets:
+                self._shifted(Subject(table, (name,) if name else ()), members)
+
+    def _shifted(self, subject: Subject, members: list[tuple[int, int]]) -> None:
+        """A common shift of some rows, whole and by component."""
+        columns, names, covered = [], [], frozenset(members)
+        if len(covered) < 2:
+            return
+        by_table: dict[int, list[int]] = {}
+        for k, row in members:
+            by_table.setdefault(k, []).append(row)
+        labels = ("X", "Y", "Z")
+        for axis in range(3):
+            parts: dict[int, float] = {}
+            for k, rows in by_table.items():
+                if k == FIXED:
+                    mask = ~self.s.point_free[rows, axis]
+                else:
+                    structure = self.block.groups[k - 1].structure
+                    mask, labels = structure.observed[rows, axis], structure.kind.components
+                if mask.any():
+                    at = np.array(rows)[mask]
+                    self.columns.append(ErrorColumn(k, at, np.full(len(at), axis), np.ones(len(at))))
+                    parts[len(self.columns) - 1] = 1.0
+            if parts:
+                columns.append(self._combined(parts))
+                names.append(labels[axis])
+        unit = self.s.angle_unit if subject.table in ANGLE_TABLES else self.s.object_unit
+        units = (unit,) * len(columns)
+        if not columns:
+            return
+        self.found.append(Hypothesis((subject,), Cause.SHIFT, tuple(columns), tuple(names), units, covered))
+        if len(columns) > 1:
+            self.found += [
+                Hypothesis((subject._replace(component=n),), Cause.SHIFT, (c,), (n,), (unit,), covered, False)
+                for c, n in zip(columns, names, strict=True)
+            ]
+
+    def _scales(self) -> None:
+        """Distances of one table that are wrong by a common factor, and bars that are used several times."""
+        for k, group in enumerate(self.block.groups, 1):
+            structure = group.structure
+            if structure.kind.name not in SCALED or len(structure.indices) < 2:
+                continue
+            rows = np.arange(len(structure.indices))
+            if structure.kind.name == "scale_bars":
+                lengths = np.asarray(self.block.parameters)[structure.indices[:, 2]]
+                for bar in dict.fromkeys(structure.indices[:, 2].tolist()):
+                    of_bar = rows[structure.indices[:, 2] == bar]
+                    if len(of_bar) > 1:
+                        name = self.s.parameters[bar].name.removeprefix("length of bar ")
+                        self._alike(Subject("bars", (name,)), Cause.SHIFT, k, of_bar, np.ones(len(of_bar)))
+            else:
+                lengths = np.asarray(group.values)[:, 0]
+            self._alike(Subject(structure.kind.name), Cause.SCALE, k, rows, lengths)
+
+    def _alike(self, subject: Subject, cause: Cause, table: int, rows: np.ndarray, values: np.ndarray) -> None:
+        """Members of a table with one component, wrong by a common number times some values."""
+        column = self._elementary(ErrorColumn(table, rows, np.zeros(len(rows), int), values))
+        unit = "" if cause is Cause.SCALE else self.s.object_unit
+        name = "scale" if cause is Cause.SCALE else "length"
+        covered = frozenset((table, row) for row in rows.tolist())
+        self.found.append(Hypothesis((subject,), cause, (column,), (name,), (unit,), covered))
+
+    def _images(self) -> None:
+        """All rays of an image, or of a camera with several images: a wrong scale of the image coordinates, a shift."""
+        s, rays = self.s, len(self.s.ray_image)
+        count = np.bincount(s.ray_image, minlength=len(s.image_names))
+        square = np.bincount(s.ray_image, (self.w[0] ** 2).sum(1), minlength=len(s.image_names))
+        score = np.where(count >= FEWEST_RAYS, square / np.maximum(count, 1), 0.0)
+        if rays * 3 * (IMAGES + len(s.cameras)) > WIDEST:
+            return
+        for image in _largest(score, IMAGES).tolist():
+            self._scaled(Subject("images", (s.image_names[image],)), s.ray_image == image)
+        used = np.bincount(s.image_camera, minlength=len(s.cameras))
+        held = [
+            not free[c.model.elements.index("principal_distance")]
+            for c, free in zip(s.cameras, s.interior_free, strict=True)
+        ]
+        for camera in np.flatnonzero((used > 1) & held)[:IMAGES].tolist():
+            self._scaled(Subject("cameras", (s.cameras[camera].name,)), s.image_camera[s.ray_image] == camera)
+
+    def _scaled(self, subject: Subject, chosen: Bool[np.ndarray, " ray"]) -> None:
+        ray = np.flatnonzero(chosen)
+        if len(ray) < FEWEST_RAYS:
+            return
+        point = image_points(self.block)[ray]
+        centre = point.mean(0)
+        scale = ErrorColumn(0, np.repeat(ray, 2), np.tile([0, 1], len(ray)), (point - centre).ravel())
+        shifts = [ErrorColumn(0, ray, np.full(len(ray), k), np.ones(len(ray))) for k in range(2)]
+        columns = tuple(self._elementary(column) for column in (scale, *shifts))
+        unit = unit_of(self.block, 0, int(ray[0]))
+        members = frozenset((0, r) for r in ray.tolist())
+        names, units = ("scale", "x", "y"), ("", unit, unit)
+        self.found.append(Hypothesis((subject,), Cause.IMAGE, columns, names, units, members))
+
+    # mistakes of a known size
+
+    def _exchanged(self) -> None:
+        """Names of two control points, of two rays of an image; X and Y of a control point, x and y of a ray."""
+        control = [h for h in self.found if h.whole and h.cause is Cause.VALUE and h.subjects[0].table == "control"]
+        rays = [h for h in self.found if h.whole and h.cause is Cause.VALUE and h.subjects[0].table == "rays"]
+        places = {id(h): self._given(h) for h in (*control, *rays)}
+        for h in (*control, *rays):
+            given = places[id(h)]
+            first, second = ("X", "Y") if h in control else ("x", "y")
+            if first in given and second in given:
+                difference = given[first][1] - given[second][1]
+                self._mistake((h,), Cause.AXES, [(given[first][0], difference), (given[second][0], -difference)])
+        pairs = [(a, b) for k, a in enumerate(control) for b in control[:k]][:NEAR_POINTS]
+        pairs += [
+            (a, b) for k, a in enumerate(rays) for b in rays[:k] if a.subjects[0].names[0] == b.subjects[0].names[0]
+        ]
+        for a, b in pairs:
+            one, two = places[id(a)], places[id(b)]
+            if set(one) == set(two):
+                parts = [(one[n][0], one[n][1] - two[n][1]) for n in one] + [
+                    (two[n][0], two[n][1] - one[n][1]) for n in one
+                ]
+                self._mistake((a, b), Cause.NAMES, parts)
+
+    def _given(self, h: Hypothesis) -> dict[str, tuple[int, float]]:
+        """Column and given value of each component, in the frame of the residuals, rays as they were measured."""
+        table, member = next(iter(h.members))
+        if table == 0:
+            values = np.asarray(self.block.rays.coordinates)[member]
+            return {n: (c, float(v)) for n, c, v in zip(h.components, h.columns, values, strict=True)}
+        values = {}
+        for table, member in h.members:
+            given = self.block.object_points[member] if table == FIXED else self.block.groups[table - 1].values[member]
+            for component, column in self.at[table, member].items():
+                values["XYZ"[component]] = column, float(given[component])
+        return values
+
+    def _mistake(self, wrong: tuple[Hypothesis, ...], cause: Cause, parts: list[tuple[int, float]]) -> None:
+        """One column: the differences to what should stand there."""
+        up = -1.0 if wrong[0].subjects[0].table == "rays" and self._down(wrong[0]) else 1.0
+        sign = {h.columns[1]: up for h in wrong if len(h.columns) > 1}
+        combined: dict[int, float] = {}
+        for column, value in parts:
+            combined |= self._parts(column, sign.get(column, 1.0) * value)
+        if not any(combined.values()):
+            return
+        subjects = tuple(h.subjects[0] for h in wrong)
+        members = frozenset[tuple[int, int]]().union(*(h.members for h in wrong))
+        column = self._combined(combined)
+        self.found.append(Hypothesis(subjects, cause, (column,), ("",), ("",), members, False))
+
+    def _down(self, h: Hypothesis) -> bool:
+        """Whether y of the user's image coordinates points down."""
+        return self.s.cameras[self.s.image_camera[self.s.image_names.index(h.subjects[0].names[0])]].image_unit == "px"
+
+
+def _is_control(group: ObservationGroup) -> bool:
+    kind = group.structure.kind
+    return kind.in_object_system and kind.touches == ("point",)
+
+
+def _sharing(block: Block, group: ObservationGroup) -> list[tuple[str, list[int]]]:
+    """Rows of a navigation table by the parameters they share: the group's name, "" where it has none."""
+    structure = group.structure
+    shared = structure.indices[:, 1:]
+    sets = []
+    for own in np.unique(shared, axis=0) if shared.shape[1] else [np.zeros(0, int)]:
+        rows = np.flatnonzero((shared == own).all(1) & structure.observed.any(1)).tolist()
+        name = block.structure.parameters[own[0]].name if len(own) else ""
+        sets.append((name.partition(" of ")[2], rows))
+    return sets
+
+
+def _largest(score: Float[np.ndarray, " row"], most: int) -> Int[np.ndarray, " chosen"]:
+    """Rows of the largest positive scores, in the order of the table."""
+    order = np.argsort(-score, kind="stable")[:most]
+    return np.sort(order[score[order] > 0])

@@ -1,0 +1,89 @@
+"""Values of the unknowns that large errors have not drawn aside, for tests that are linear.
+
+Least squares spread an error of a thousand sigmas over the whole block; there its neighbours look as wrong as itself.
+With weights that fall with the residuals, of all observations alike, the block comes back to where the others put it:
+
+    first    w = 1 / max(1, |v| / k s)          nearly least absolute values: has one minimum (Huber 1964)
+    then     w = 1 / (1 + (v / k s)^2)^2        of what is far off nothing is left (Geman and McClure 1985)
+
+v are residuals over their sigmas, s their scale, 1.48 times the median of |v|, and at least 1.
+"""
+
+from collections.abc import Sequence
+from typing import NamedTuple
+
+import equinox as eqx
+import numpy as np
+from jaxtyping import Float
+
+from jaxbundle.block.block import Block
+from jaxbundle.block.observations import ObservationGroup
+from jaxbundle.numerics.host import on_device
+from jaxbundle.solve.adjust import adjust
+from jaxbundle.solve.adjustment import Adjustment, Status
+
+LIMIT = 2.0  # k: normal errors of this size lose nothing at first
+FIRST, THEN = 3, 3  # rounds
+LEAST = 1e-6  # weight
+NORMAL = 1.4826  # standard deviation over median of the absolute values of normal errors
+
+Members = tuple[Float[np.ndarray, " member"], ...]
+
+
+class RobustPoint(NamedTuple):
+    """A block at robust values of its unknowns, and its residuals over the sigmas given."""
+
+    block: Block
+    weighted_residuals: tuple[np.ndarray, ...]
+
+
+def robust_point(adjustment: Adjustment) -> RobustPoint | None:
+    """The robust values; None where the iterations do not converge."""
+    given = adjustment.block
+    residuals = tuple(np.asarray(v) for v in adjustment.weighted_residuals)
+    block = given
+    for round_ in range(FIRST + THEN):
+        weights = _weights(residuals, round_ >= FIRST)
+        again = adjust(_weighted(given, block, weights), precision=False)
+        if again.status is not Status.CONVERGED:
+            return None
+        roots = [np.sqrt(w)[:, None] for w in weights]
+        residuals = tuple(np.asarray(v) / w for v, w in zip(again.weighted_residuals, roots, strict=True))
+        block = again.block
+    return RobustPoint(with_unknowns_of(given, block), residuals)
+
+
+def with_unknowns_of(block: Block, other: Block) -> Block:
+    """The observations and fixed coordinates of a block, the unknowns of another of the same structure."""
+    points = np.where(block.structure.point_free, np.asarray(other.object_points), np.asarray(block.object_points))
+    return eqx.tree_at(
+        lambda b: (b.exterior, b.interior, b.parameters, b.object_points),
+        block,
+        (other.exterior, other.interior, other.parameters, on_device(points)),
+    )
+
+
+def _weights(residuals: Sequence[np.ndarray], redescending: bool) -> Members:
+    """Of all members: the components of one have the weight of the worst."""
+    sizes = np.concatenate([np.abs(v[v != 0]) for v in residuals])
+    scale = LIMIT * max(NORMAL * float(np.median(sizes)), 1.0) if len(sizes) else 1.0
+    relative = [np.abs(v).max(1, initial=0.0) / scale for v in residuals]
+    if redescending:
+        return tuple(np.maximum(1 / (1 + x**2) ** 2, LEAST) for x in relative)
+    return tuple(np.maximum(1 / np.maximum(x, 1.0), LEAST) for x in relative)
+
+
+def _weighted(given: Block, start: Block, weights: Members) -> Block:
+    """The block with these weights besides its own, at the unknowns of `start`."""
+    block, factors = with_unknowns_of(given, start), [1 / np.sqrt(w)[:, None] for w in weights]
+
+    def scaled(group: ObservationGroup, factor: np.ndarray) -> ObservationGroup:
+        group = eqx.tree_at(lambda g: g.sigmas, group, on_device(np.asarray(group.sigmas) * factor))
+        if group.covariances is None:
+            return group
+        covariances = np.asarray(group.covariances) * (factor**2)[:, :, None]
+        return eqx.tree_at(lambda g: g.covariances, group, on_device(covariances))
+
+    groups = tuple(scaled(group, factor) for group, factor in zip(block.groups, factors[1:], strict=True))
+    rays = on_device(np.asarray(block.rays.sigmas) * factors[0])
+    return eqx.tree_at(lambda b: (b.rays.sigmas, b.groups), block, (rays, groups))

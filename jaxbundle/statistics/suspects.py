@@ -1,0 +1,319 @@
+"""The suspect observations of an adjustment, the gravest first, with the size of their errors.
+
+What is accepted is taken out of the observations by its estimated size and the block is adjusted again, until the sizes
+stay: so a large error, whose effect is not linear, blames nobody else, and sigma0 without it is that of an adjustment.
+Nothing changes its shape, so all rounds run in the program of the first adjustment.
+"""
+
+import dataclasses
+from collections.abc import Iterator, Sequence
+from typing import NamedTuple
+
+import equinox as eqx
+import numpy as np
+from jaxtyping import Float
+from scipy.special import fdtri, ncfdtrinc
+
+from jaxbundle.block.block import Block
+from jaxbundle.block.findings import Subject
+from jaxbundle.numerics.host import on_device
+from jaxbundle.solve.adjust import adjust
+from jaxbundle.solve.adjustment import Adjustment, Status
+from jaxbundle.statistics.error_columns import FIXED, MOST_DENSE, ErrorColumn, ErrorTests, error_tests
+from jaxbundle.statistics.hypotheses import Cause, Hypotheses, Hypothesis
+from jaxbundle.statistics.possible_errors import possible_errors
+from jaxbundle.statistics.reliability import POWER, level_of_one, redundancy_numbers
+from jaxbundle.statistics.robust_start import robust_point, with_unknowns_of
+from jaxbundle.statistics.selection import CONTROLLED, Selection
+
+LEVEL = 0.05  # that any good observation at all is suspected
+MOST = 25  # suspicions: of more errors than that the tests say little
+ROUNDS = 5  # of adjusting again; Gauss-Newton steps of the sizes, of which the last changes nothing
+RAYS_FOR_ONE_ROUND = 200_000  # beyond, one adjustment more is all that the suspects may cost
+LARGE = 3.0  # sigma0 from which on the tests begin at robust values of the unknowns
+SAME = 0.05  # change of a size, in its standard deviations, or of itself
+SHOWN = 0.01  # part of an error that its residuals show, below which its size is not told
+NO_ERRORS = 1e-6  # sigma0 of observations that have no errors: residuals are rounding
+
+
+class Suspicion(NamedTuple):
+    """What is probably wrong, in the user's names and units.
+
+    `subjects` are wrong together; each of `alternatives`, in its place, would explain the same. `error`: observed less
+    true value of each component, NaN where the residuals show too little of it; `units`, `deviations` and the minimal
+    detectable errors go with it. `statistic` is T, `probability` its logarithm to the base 10. `shown`: the part of the
+    error that the residuals show. `sigma0_without`: when this error and those of all graver suspicions are taken out.
+    """
+
+    subjects: tuple[Subject, ...]
+    cause: Cause
+    alternatives: tuple[tuple[Subject, ...], ...]
+    components: tuple[str, ...]
+    error: Float[np.ndarray, " component"]
+    units: tuple[str, ...]
+    deviations: Float[np.ndarray, " component"]
+    minimal_detectable: Float[np.ndarray, " component"]
+    statistic: float
+    degrees: int
+    probability: float
+    shown: float
+    sigma0_without: float
+
+
+class Suspects(NamedTuple):
+    """The suspicions, the gravest first; sigma0 when the errors of all of them are taken out; the adjustment without
+    these errors, None where there are none. `observations`: table, row and component of what each says is wrong."""
+
+    suspicions: tuple[Suspicion, ...]
+    sigma0: float
+    adjustment: Adjustment | None
+    observations: tuple[tuple[tuple[int, int, int], ...], ...]
+
+
+def testable(adjustment: Adjustment) -> bool:
+    """Whether the residuals of an adjustment can be tested."""
+    return (
+        adjustment.redundancy_numbers is not None
+        and adjustment.status is Status.CONVERGED
+        and not adjustment.undetermined
+        and adjustment.reweighting is None
+        and adjustment.redundancy >= 2
+        and float(adjustment.sigma0) > NO_ERRORS
+    )
+
+
+def suspects(adjustment: Adjustment, level: float = LEVEL) -> tuple[Suspicion, ...]:
+    """The suspect observations, the gravest first. `level`: of all tests together.
+
+    None where nothing can be tested: without redundancy numbers, not converged, with robust weights.
+    """
+    return find_suspects(adjustment, level).suspicions
+
+
+def find_suspects(adjustment: Adjustment, level: float = LEVEL) -> Suspects:
+    """`suspects`, with the adjustment without their errors."""
+    nobody = Suspects((), float(adjustment.sigma0), None, ())
+    if not testable(adjustment):
+        return nobody
+    given = adjustment.block
+    state = _start(adjustment, level)
+    rounds = ROUNDS if len(given.structure.ray_image) < RAYS_FOR_ONE_ROUND else 1
+    for _ in range(rounds):
+        if state.settled:
+            break
+        again = adjust(with_unknowns_of(with_errors_removed(given, state.elementary()), state.block), precision=False)
+        if again.status is not Status.CONVERGED:
+            break
+        state = state.next(again)
+    return state.found() if state.accepted else nobody
+
+
+def _start(adjustment: Adjustment, level: float) -> "_State":
+    """The tests at the adjustment; where its residuals are large, at values that they have not drawn aside."""
+    given, large = adjustment.block, float(adjustment.sigma0) > LARGE
+    if large and given.structure.unknowns <= MOST_DENSE and (robust := robust_point(adjustment)) is not None:
+        state = _State.of(given, robust.block, robust.weighted_residuals, _roots(adjustment), level)
+        if state.accepted:
+            return state
+    return _State.of(given, given, _tables(adjustment), _roots(adjustment), level)
+
+
+def _tables(adjustment: Adjustment) -> tuple[np.ndarray, ...]:
+    return tuple(np.asarray(v) for v in adjustment.weighted_residuals)
+
+
+def _roots(adjustment: Adjustment) -> tuple[np.ndarray, ...]:
+    """Roots of the redundancy numbers, infinite where nothing is controlled."""
+    numbers = [np.maximum(r, 0.0) for r in redundancy_numbers(adjustment)]
+    return tuple(np.sqrt(np.where(r > CONTROLLED, r, np.inf)) for r in numbers)
+
+
+@dataclasses.dataclass(frozen=True)
+class _State:
+    """The tests at one linearisation. `removed`: sizes of the errors taken out of the observations, by keys."""
+
+    given: Block
+    block: Block
+    w: tuple[np.ndarray, ...]
+    roots: tuple[np.ndarray, ...]
+    level: float
+    hypotheses: Hypotheses
+    selection: Selection
+    accepted: list[int]
+    removed: dict[tuple, Float[np.ndarray, " component"]]
+    adjustment: Adjustment | None = None
+
+    @classmethod
+    def of(
+        cls, given: Block, block: Block, residuals: tuple[np.ndarray, ...], roots: tuple[np.ndarray, ...], level: float
+    ) -> "_State":
+        """Nothing is taken out; the unknowns are those of `block`."""
+        w = tuple(np.abs(v) / root for v, root in zip(residuals, roots, strict=True))
+        hypotheses = possible_errors(given, w)
+        tests = error_tests(block, residuals, hypotheses.elementary).combined(hypotheses.combinations)
+        selection = Selection(tests, hypotheses.every, _log_level(level, hypotheses))
+        return cls(given, block, w, roots, level, hypotheses, selection, selection.select(MOST), {})
+
+    def next(self, adjustment: Adjustment) -> "_State":
+        """The tests at the adjustment without the errors that this state accepts."""
+        tables, removed = _tables(adjustment), self.sizes
+        pairs = zip(self.w, tables, self.roots, strict=True)
+        w = tuple(np.maximum(before, np.abs(v) / root) for before, v, root in pairs)
+        hypotheses = possible_errors(self.given, w)
+        known = {h.key: k for k, h in enumerate(hypotheses.every)}
+        start = [known[key] for key in removed if key in known]
+        tests = error_tests(adjustment.block, tables, hypotheses.elementary).combined(hypotheses.combinations)
+        columns = np.array([c for k in start for c in hypotheses.every[k].columns], int)
+        sizes = np.concatenate([np.zeros(0), *(removed[hypotheses.every[k].key] for k in start)])
+        log_level = _log_level(self.level, hypotheses)
+        selection = Selection(_put_back(tests, columns, sizes), hypotheses.every, log_level)
+        return dataclasses.replace(
+            self,
+            block=adjustment.block,
+            w=w,
+            hypotheses=hypotheses,
+            selection=selection,
+            accepted=selection.select(MOST, start),
+            removed=removed,
+            adjustment=adjustment,
+        )
+
+    @property
+    def sizes(self) -> dict[tuple, Float[np.ndarray, " component"]]:
+        """Estimated sizes of the accepted errors, 1 where the size is known; by the keys of their hypotheses."""
+        estimated, _ = self.estimated
+        return {self._of_number(k).key: size for k, size in zip(self.accepted, estimated, strict=True)}
+
+    @property
+    def estimated(self) -> tuple[list[np.ndarray], list[np.ndarray]]:
+        """Sizes and their standard deviations for sigma0 = 1."""
+        if not self.accepted:
+            return [], []
+        columns = self.selection.columns(self.accepted)
+        inverse, _ = self.selection.inverse(columns)
+        sizes, deviations = -inverse @ self.selection.tests.right[columns], np.sqrt(np.diagonal(inverse))
+        ends = np.cumsum([len(self._of_number(k).columns) for k in self.accepted])[:-1]
+        parts, sds = np.split(sizes, ends), np.split(deviations, ends)
+        exact = [self._of_number(k).exact for k in self.accepted]
+        return [np.ones(1) if e else p for p, e in zip(parts, exact, strict=True)], sds
+
+    @property
+    def settled(self) -> bool:
+        """Whether the errors taken out are those accepted, by their sizes too."""
+        new = self.sizes
+        if set(new) != set(self.removed):
+            return False
+        _, deviations = self.estimated
+        for (key, size), sd in zip(new.items(), deviations, strict=True):
+            if (np.abs(size - self.removed[key]) > np.maximum(SAME * sd, SAME * SAME * np.abs(size))).any():
+                return False
+        return True
+
+    def _of_number(self, number: int) -> Hypothesis:
+        return self.hypotheses.every[number]
+
+    def elementary(self) -> list[tuple[ErrorColumn, float]]:
+        """The accepted errors of the observations themselves."""
+        if not self.accepted:
+            return []
+        sizes = self.hypotheses.combinations[:, self.selection.columns(self.accepted)] @ np.concatenate(
+            self.estimated[0]
+        )
+        return [(column, float(s)) for column, s in zip(self.hypotheses.elementary, sizes, strict=True) if s]
+
+    def found(self) -> Suspects:
+        """The suspicions in the user's names and units."""
+        left = self.selection.given(self.accepted)
+        sigma0 = float(np.sqrt(max(left.vtpv, 0.0) / max(left.redundancy, 1)))
+        suspicions = [self._suspicion(i, sigma0) for i in range(len(self.accepted))]
+        observations = tuple(tuple(self._observations(k)) for k in self.accepted)
+        return Suspects(tuple(suspicions), sigma0, self.adjustment, observations)
+
+    def _observations(self, number: int) -> Iterator[tuple[int, int, int]]:
+        """What a hypothesis says is wrong, in the order of its columns."""
+        h = self.hypotheses
+        for elementary in np.unique(h.combinations[:, list(h.every[number].columns)].indices):
+            column = h.elementary[elementary]
+            for row, component in zip(column.member.tolist(), column.component.tolist(), strict=True):
+                yield column.table, row, component
+
+    def _suspicion(self, place: int, sigma0: float) -> Suspicion:
+        number = self.accepted[place]
+        h, others = self._of_number(number), [k for k in self.accepted if k != number]
+        tested, without = self.selection.tested(others), self.selection.given(self.accepted[: place + 1])
+        sizes, deviations = (part[place] for part in self.estimated)
+        factor = max(sigma0, 1.0)
+        redundancy = self.selection.given(others).redundancy
+        matrix = np.diagonal(self.selection.given(others).matrix)[list(h.columns)]
+        root = np.sqrt(_non_centrality(self.selection.log_level, 1, redundancy - 1))
+        with np.errstate(divide="ignore", invalid="ignore"):
+            detectable = factor * root / np.sqrt(np.maximum(matrix, 0.0))
+        told = bool(tested.shown[number] >= SHOWN) and not h.exact
+        scale = self._user_scale(h)
+        alternatives = tuple(self._of_number(k).subjects for k in self.selection.alternatives(number, self.accepted))
+        return Suspicion(
+            h.subjects,
+            h.cause,
+            alternatives,
+            h.components,
+            scale * sizes if told else np.full(len(sizes), np.nan),
+            h.units,
+            np.abs(scale) * factor * deviations,
+            np.abs(scale) * detectable,
+            float(tested.statistic[number]),
+            int(tested.degrees[number]),
+            float(tested.log_probability[number] / np.log(10)),
+            float(tested.shown[number]),
+            float(np.sqrt(max(without.vtpv, 0.0) / max(without.redundancy, 1))),
+        )
+
+    def _user_scale(self, h: Hypothesis) -> np.ndarray:
+        """From the frame of the residuals to the user's: angles in his unit, y of pixels down."""
+        s = self.given.structure
+        table, member = next(iter(h.members))
+        down = table == 0 and s.cameras[s.image_camera[s.ray_image[member]]].image_unit == "px"
+        by_unit = {"deg": 180 / np.pi, "gon": 200 / np.pi}
+        return np.array(
+            [-1.0 if down and c == "y" else by_unit.get(u, 1.0) for c, u in zip(h.components, h.units, strict=True)]
+        )
+
+
+def _put_back(tests: ErrorTests, columns: np.ndarray, sizes: np.ndarray) -> ErrorTests:
+    """The tests as if the errors that were taken out were still there, by the linear model of now."""
+    change = tests.matrix[:, columns] @ sizes
+    vtpv = tests.vtpv - 2 * float(sizes @ tests.right[columns]) + float(sizes @ change[columns])
+    return tests._replace(right=tests.right - change, vtpv=vtpv)
+
+
+def _log_level(level: float, hypotheses: Hypotheses) -> float:
+    return float(np.log(level_of_one(level, hypotheses.tests)))
+
+
+def _non_centrality(log_level: float, degrees: int, redundancy: int) -> float:
+    """lambda of an error that is found with the usual power by a test of F."""
+    limit = fdtri(degrees, redundancy, -np.expm1(log_level))
+    return float(ncfdtrinc(degrees, redundancy, 1 - POWER, limit))
+
+
+def with_errors_removed(block: Block, errors: Sequence[tuple[ErrorColumn, float]]) -> Block:
+    """The block whose observations and fixed coordinates are less by errors of some sizes."""
+    s = block.structure
+    down = np.array([camera.image_unit == "px" for camera in s.cameras])[s.image_camera[s.ray_image]]
+    rays, points = np.array(block.rays.coordinates), np.array(block.object_points)
+    tables = [np.array(group.values) for group in block.groups]
+    for column, size in errors:
+        change = size * column.values
+        if column.table == FIXED:
+            np.subtract.at(points, (column.member, column.component), change)
+        elif column.table == 0:
+            up = np.where(down[column.member] & (column.component == 1), -1.0, 1.0)
+            np.subtract.at(rays, (column.member, column.component), up * change)
+        else:
+            np.subtract.at(tables[column.table - 1], (column.member, column.component), change)
+    groups = tuple(
+        eqx.tree_at(lambda g: g.values, group, on_device(values))
+        for group, values in zip(block.groups, tables, strict=True)
+    )
+    return eqx.tree_at(
+        lambda b: (b.rays.coordinates, b.object_points, b.groups), block, (on_device(rays), on_device(points), groups)
+    )
