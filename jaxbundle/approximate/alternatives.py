@@ -3,14 +3,13 @@
 An alternative under which the rays agree with their points far better than as given tells what was confused.
 """
 
-from collections.abc import Callable
 from typing import NamedTuple
 
 import numpy as np
 from jaxtyping import Float
 
 from jaxbundle.approximate.sight import Sight, medians, relative_off
-from jaxbundle.geometry.rotation import OMEGA_PHI_KAPPA, ROTATION_SYSTEMS, RotationSystem
+from jaxbundle.geometry.rotation import ROTATION_SYSTEMS, RotationSystem
 from jaxbundle.numerics.host import on_host
 
 EXPLAINED = 0.2  # of the angles off: what an alternative may leave
@@ -90,16 +89,33 @@ def of_attitudes(given: Given) -> list[Alternative]:
             sight = _attitudes(given.sight, system, given.angles)
             alternatives.append(Alternative(f"angles of the system {system.name}", "attitudes", "", sight))
     half_turn = given.sight._replace(rotation=given.sight.rotation * [1.0, -1.0, -1.0])
-    upright = OMEGA_PHI_KAPPA.angles[0] if given.system is OMEGA_PHI_KAPPA else last
-    alternatives.append(Alternative("the cameras looking the other way", "attitudes", upright, half_turn))
+    alternatives.append(Alternative("the cameras looking the other way", "attitudes", first, half_turn))
     return alternatives
+
+
+def of_both(sight: Sight) -> list[Alternative]:
+    """Solutions that the image equation cannot tell from the right one: all points lie behind the cameras."""
+    upside_down = sight._replace(
+        centre=_above_ground(sight), rotation=sight.rotation * np.array([-1.0, -1.0, 1.0])[None, :, None]
+    )
+    inverted = sight._replace(centre=-sight.centre, points=-sight.points, known=-sight.known)
+    return [
+        Alternative("stations and attitudes mirrored in the ground", "both", "Z0", upside_down),
+        Alternative("the opposite sign of all coordinates of stations and points", "both", "", inverted),
+    ]
+
+
+def _above_ground(sight: Sight) -> Float[np.ndarray, "image 3"]:
+    """Centres mirrored in the mean height of the points."""
+    finite = np.isfinite(sight.believed).all(1)
+    ground = np.median(sight.believed[finite, 2]) if finite.any() else 0.0
+    return np.c_[sight.centre[:, :2], 2 * ground - sight.centre[:, 2]]
 
 
 def of_stations(sight: Sight) -> list[Alternative]:
     """Positions of opposite sign or exchanged."""
     height = np.array([1.0, 1.0, -1.0])
-    ground = 2 * np.median(sight.believed[np.isfinite(sight.believed).all(1)], 0) if len(sight.points) else 0.0
-    mirrored = sight.centre * height + (1 - height) / 2 * ground
+    mirrored = _above_ground(sight)
     return [
         Alternative("Z0 of opposite sign", "stations", "Z0", sight._replace(centre=sight.centre * height)),
         Alternative("the stations above the ground", "stations", "Z0", sight._replace(centre=mirrored)),
@@ -118,12 +134,9 @@ def _attitudes(sight: Sight, system: RotationSystem, angles: Float[np.ndarray, "
     return sight._replace(rotation=rotation.reshape(-1, 3, 3))
 
 
-def left(sight: Sight, points: str = "believed") -> Float[np.ndarray, " image"]:
-    """Median angle off of each image, in fields: by all points, or by the known ones alone."""
-    return _left(sight, {"believed": sight.believed, "known": sight.known}[points])
-
-
-def _left(sight: Sight, points: Float[np.ndarray, "point 3"]) -> Float[np.ndarray, " image"]:
+def left(sight: Sight) -> Float[np.ndarray, " image"]:
+    """Median angle off of each image, in fields."""
+    points = sight.believed
     usable = np.isfinite(points).all(1)[sight.point]
     return medians(relative_off(sight, points)[usable], sight.image[usable], len(sight.centre))
 
@@ -142,6 +155,3 @@ def mirrored(sight: Sight) -> Alternative | None:
 def explains(alternative: Float[np.ndarray, " image"], now: Float[np.ndarray, " image"]) -> np.ndarray:
     """Images that agree with their points far better under an alternative."""
     return (alternative <= EXPLAINED * now) & (alternative <= EXPLAINED)
-
-
-Maker = Callable[[Given], list[Alternative]]

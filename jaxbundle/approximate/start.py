@@ -83,11 +83,19 @@ def _with_values(block: Block, start: _Start, points: Float[np.ndarray, "point 3
 def suspect_images(sight: Sight) -> Bool[np.ndarray, " image"]:
     """Images whose rays agree neither with their points as given nor with one another."""
     count = len(sight.centre)
-    absurd = ~(medians(relative_off(sight, sight.believed), sight.image, count) <= ABSURD)
+    # images in one place that is a mean or none of them may be right by chance
+    limit = np.where(_shared_place(sight), CONSISTENT, ABSURD)
+    absurd = ~(medians(relative_off(sight, sight.believed), sight.image, count) <= limit)
     absurd &= np.bincount(sight.image, minlength=count) > 0
     if not absurd.any():
         return absurd
     return absurd & ~_agree(sight, np.ones(count, bool))
+
+
+def _shared_place(sight: Sight) -> Bool[np.ndarray, " image"]:
+    """Images whose centre is that of another image too."""
+    _, inverse, count = np.unique(sight.centre, axis=0, return_inverse=True, return_counts=True)
+    return count[inverse.ravel()] > 1
 
 
 def _agree(sight: Sight, images: Bool[np.ndarray, " image"]) -> Bool[np.ndarray, " image"]:

@@ -4,18 +4,16 @@ The reference are the points as a checked start has them. A confusion (kappa tur
 opposite sign) is named for all images that it explains, each far better than as given.
 """
 
-import dataclasses
-
 import numpy as np
 from jaxtyping import Bool, Float
 
 from jaxbundle.approximate.alternatives import (
-    Alternative,
     Given,
     explains,
     left,
     mirrored,
     of_attitudes,
+    of_both,
     of_stations,
 )
 from jaxbundle.approximate.replaced import counted, named
@@ -27,6 +25,7 @@ from jaxbundle.block.findings import Finding, Kind, Severity, Subject
 PLAIN = 0.3  # fields: below, approximate attitudes are rough, not confused
 MOST = 0.5  # share of an image's rays behind that is told
 FEW_BEHIND = 0.01  # share of all rays: real blocks have some far or wrong points behind
+ALIKE, ROUGH = 1.2, 0.02  # causes that explain images alike: times the best, and fields
 ONE_PLACE = 1e-9  # of the coordinates
 LEAST_KNOWN = 4  # rays of control that tell a mirrored system without other points
 
@@ -56,23 +55,24 @@ def mirrored_finding(block: Block, sight: Sight) -> Finding | None:
     return Finding(Kind.FORMAT, what, cure, subjects)
 
 
-def start_findings(block: Block, checked: Block) -> list[Finding]:
-    """What is absurd about the approximate values of the images, with the likely cause."""
+def start_findings(block: Block, checked: Block, told_points: set[str]) -> list[Finding]:
+    """What is absurd about the approximate values of the images, with the likely cause.
+
+    `told_points`: control that was found wrong already; its rays tell nothing of the images.
+    """
     given, reference = sight_of(block), sight_of(checked)
     sight = given._replace(points=reference.points)
     s = block.structure
     same = _one_place(block)
-    told = np.zeros(len(s.image_names), bool)
     findings = [*same]
     if not same:
         for words, images, component in _confusions(block, sight):
-            told |= images
             findings.append(_confusion(block, words, images, component))
     remaining = suspect_images(reference)
     if remaining.any() and not same:
         findings.append(_unexplained(block, reference, remaining))
-    findings += _behind(block, reference)
-    return findings
+    believed = ~np.isin(np.array(s.point_names), list(told_points)) if told_points else np.ones(len(s.point_names), bool)
+    return findings if same else [*findings, *_behind(block, reference, believed[reference.point])]
 
 
 def _confusions(block: Block, sight: Sight) -> list[tuple[str, Bool[np.ndarray, " image"], str]]:
@@ -83,14 +83,18 @@ def _confusions(block: Block, sight: Sight) -> list[tuple[str, Bool[np.ndarray, 
     if not open_images.any():
         return []
     given = Given(sight, np.asarray(block.exterior.angles), s.rotation_system, s.angle_unit)
-    alternatives = [*of_attitudes(given), *of_stations(sight)]
+    alternatives = [*of_attitudes(given), *of_stations(sight), *of_both(sight)]
     rest = [left(alternative.sight) for alternative in alternatives]
     found = []
     while open_images.any():
         explained = [explains(r, now) & open_images for r in rest]
-        best = max(range(len(rest)), key=lambda k: (explained[k].sum(), -_median(rest[k], open_images)))
-        if not explained[best].any():
+        most = max(e.sum() for e in explained)
+        if not most:
             break
+        equal = [k for k, e in enumerate(explained) if e.sum() == most]
+        least = [_median(rest[k], explained[k]) for k in equal]
+        # what stands first is the more usual mistake: it is taken unless another one explains more closely
+        best = next(k for k, m in zip(equal, least, strict=True) if m <= ALIKE * min(least) + ROUGH)
         found.append((alternatives[best].words, explained[best], alternatives[best].component))
         open_images = open_images & ~explained[best]
     return found
@@ -139,7 +143,7 @@ def _one_place(block: Block) -> list[Finding]:
     return [Finding(Kind.START, what, "give each image its own X0, Y0, Z0", _subjects(block, np.ones(len(centres), bool)))]
 
 
-def _behind(block: Block, sight: Sight) -> list[Finding]:
+def _behind(block: Block, sight: Sight, judged: Bool[np.ndarray, " ray"]) -> list[Finding]:
     """Rays whose point lies behind the camera, and those that have no direction."""
     s = block.structure
     angle = off(sight, sight.believed)
@@ -148,10 +152,10 @@ def _behind(block: Block, sight: Sight) -> list[Finding]:
     if len(centred):
         pairs = [(s.image_names[sight.image[k]], s.point_names[sight.point[k]]) for k in centred]
         listing = named([f"point {point} in that of image {image}" for image, point in pairs])
-        what = f"{counted(len(pairs), 'approximate point')} in a projection centre: {listing}"
+        what = f"{counted(len(pairs), 'approximate point')} coincide with a projection centre: {listing}"
         subjects = tuple(Subject("points", (point,)) for point in dict.fromkeys(point for _, point in pairs))
         findings.append(Finding(Kind.START, what, "correct the coordinates of the point or of the image", subjects))
-    behind = angle > HALF
+    behind = judged & (angle > HALF)
     count = np.bincount(sight.image[behind], minlength=len(s.image_names))
     rays = np.bincount(sight.image, minlength=len(s.image_names))
     images = count > MOST * rays
@@ -175,6 +179,3 @@ def two_roles(block: Block) -> list[Finding]:
     subjects = tuple(Subject("control", (name,)) for name in names)
     cure = "a check point must not take part: give each point one role"
     return [Finding(Kind.CONTROL_SYSTEM, what, cure, subjects, grade=Severity.CHECK)]
-
-
-__all__ = ["Alternative", "dataclasses", "mirrored_finding", "start_findings", "two_roles"]

@@ -15,10 +15,11 @@ from jaxbundle.block.block import Block
 from jaxbundle.block.findings import Finding, Kind, Severity, Subject
 
 LEAST = 3  # control points with two rays and more
-FAR = 0.3  # of the depth: all control off by more is in another system; flight plans are better
+NEAR, FAR = 0.1, 1.0  # of the depth: by more a cause is looked for, by more control is in another system without one
 AGREES = 0.1  # of the differences, left by a cause that is named
-OUTLYING = 10.0  # times the median of the others; rough starts give the worst of twelve about four times
-SEEN = 0.1  # fields: a single point is named only if its rays show it as clearly
+OUTLYING = 8.0  # fields off, times the median of the others: rough starts give the worst of twelve four times
+DISTANT = 2.5  # distance, times the median of the others: weak intersections scatter along the depth
+SEEN, SEEN_SINGLE = 0.1, 0.3  # fields, on its own rays: of all control, and of a point that is named alone
 PAIR = 0.2  # of the difference, left where names or columns of single points are exchanged
 US_FOOT, FOOT = 1200 / 3937, 0.3048
 
@@ -43,14 +44,17 @@ def control_findings(block: Block, sight: Sight) -> list[Finding]:
     same = _coinciding(block, sight)
     if len(control.index) < LEAST:
         return same
-    if np.median(control.off) > FAR * control.depth and np.median(control.seen) > SEEN:
-        return [*_whole(block, control), *same]
+    if np.median(control.off) > NEAR * control.depth and np.median(control.seen) > SEEN:
+        whole = _whole(block, control)
+        if whole:
+            return [*whole, *same]
     return [*_single(block, control), *same]
 
 
 def _control(sight: Sight) -> _Control:
-    met = intersected(sight).points
-    chosen = np.flatnonzero(sight.is_known & np.isfinite(met).all(1))
+    meet = intersected(sight)
+    met = meet.points
+    chosen = np.flatnonzero(sight.is_known & meet.in_front & np.isfinite(met).all(1))
     seen = medians(relative_off(sight, sight.believed), sight.point, len(sight.points))
     tie = np.where(np.isfinite(met), met, np.nan)
     depth = np.abs(photo_vectors(sight, tie)[:, 2])
@@ -66,9 +70,11 @@ def _whole(block: Block, control: _Control) -> list[Finding]:
     subjects = tuple(Subject("control", (s.point_names[k],)) for k in control.index)
     for words, cure, changed in _changes(given):
         rest = np.median(np.linalg.norm(changed - met, axis=1))
-        if rest <= AGREES * off and rest <= FAR * control.depth:
+        if rest <= AGREES * off:
             what += f"; {words} it would be {rest:.4g} {s.object_unit}"
             return [Finding(Kind.CONTROL_SYSTEM, what, cure, subjects, float(off), s.object_unit)]
+    if off <= FAR * control.depth:
+        return []
     if _is_geographic(given) and not _is_geographic(met):
         cure = "longitude and latitude in degrees? give control in the system of the images, in metres"
         return [Finding(Kind.CONTROL_SYSTEM, what, cure, subjects, float(off), s.object_unit)]
@@ -76,7 +82,7 @@ def _whole(block: Block, control: _Control) -> list[Finding]:
     rest = np.median(np.linalg.norm(given + shift - met, axis=1))
     grade = None
     cure = "give control, images and points in one coordinate system"
-    if rest <= AGREES * off and rest <= FAR * control.depth:
+    if rest <= AGREES * off:
         by = ", ".join(f"{x:.6g}" for x in shift)
         what += f"; with a shift of ({by}) it would be {rest:.4g} {s.object_unit}"
         cure, grade = "the origins differ: give control, images and points in one coordinate system", Severity.CHECK
@@ -105,37 +111,44 @@ def _is_geographic(coordinates: Float[np.ndarray, "control 3"]) -> bool:
 def _single(block: Block, control: _Control) -> list[Finding]:
     """Points that are far off while the others agree, the worst first; exchanged pairs as one."""
     s, off = block.structure, control.off
-    suspects = [k for k in np.argsort(-off) if _is_outlying(off, k) and _is_outlying(control.seen, k) and control.seen[k] > SEEN]
+    limits = ((off, DISTANT), (control.seen, OUTLYING))
+    suspects = [k for k in np.argsort(-off) if control.seen[k] > SEEN_SINGLE and all(v[k] > f * _typical(v, k) for v, f in limits)]
     if 2 * len(suspects) >= len(off):
         return []
     findings, done = [], set()
     for k in suspects:
         if k in done:
             continue
-        name = s.point_names[control.index[k]]
+        name, typical = s.point_names[control.index[k]], _typical(off, k)
         partner = next((j for j in suspects if j != k and j not in done and _exchanged(control, k, j)), None)
-        what = f"control point {name} lies {off[k]:.4g} {s.object_unit} from where its rays meet, the others {np.median(np.delete(off, k)):.3g} {s.object_unit} (median)"
+        what = f"control point {name} lies {off[k]:.4g} {s.object_unit} from where its rays meet, the others {typical:.3g} {s.object_unit} (median)"
         subjects, cure = (Subject("control", (name,)),), "check its coordinates and its name"
         if partner is not None:
             other = s.point_names[control.index[partner]]
             done.add(partner)
             what = f"control points {name} and {other} lie {off[k]:.4g} and {off[partner]:.4g} {s.object_unit} from where their rays meet; with their names exchanged they would agree"
             subjects, cure = (*subjects, Subject("control", (other,))), "exchange the two names"
-        elif np.linalg.norm(control.given[k][[1, 0, 2]] - control.met[k]) <= PAIR * off[k]:
+        elif _agrees(np.linalg.norm(control.given[k][[1, 0, 2]] - control.met[k]), off[k], typical):
             what, cure = f"{what}; with X and Y exchanged it would agree", "exchange its X and Y"
         findings.append(Finding(Kind.CONTROL_SYSTEM, what, cure, subjects, float(off[k]), s.object_unit, Severity.CHECK))
     return findings
 
 
-def _is_outlying(values: Float[np.ndarray, " control"], k: int) -> bool:
-    """Against the median of the better half: up to a third of the points may be wrong."""
+def _typical(values: Float[np.ndarray, " control"], k: int) -> float:
+    """Median of the better two thirds of the others: up to a third of the points may be wrong."""
     others = np.sort(np.delete(values, k))
-    return bool(values[k] > OUTLYING * np.median(others[: -(-2 * len(others) // 3)]))
+    return float(np.median(others[: -(-2 * len(others) // 3)]))
+
+
+def _agrees(rest: float, off: float, typical: float) -> bool:
+    """Whether what a cause leaves of a difference is small, or as that of the others."""
+    return bool(rest <= max(PAIR * off, min(2 * typical, 0.5 * off)))
 
 
 def _exchanged(control: _Control, k: int, j: int) -> bool:
     near = [np.linalg.norm(control.given[a] - control.met[b]) for a, b in ((k, j), (j, k))]
-    return near[0] <= PAIR * control.off[j] and near[1] <= PAIR * control.off[k]
+    typical = _typical(control.off, k)
+    return _agrees(near[0], control.off[j], typical) and _agrees(near[1], control.off[k], typical)
 
 
 def _coinciding(block: Block, sight: Sight) -> list[Finding]:
