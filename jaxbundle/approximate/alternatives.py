@@ -8,10 +8,11 @@ from typing import NamedTuple
 import numpy as np
 from jaxtyping import Float
 
-from jaxbundle.approximate.sight import Sight, medians, relative_off
+from jaxbundle.approximate.sight import Sight, medians, mostly_beyond, relative_off
 from jaxbundle.geometry.rotation import ROTATION_SYSTEMS, RotationSystem
 from jaxbundle.numerics.host import on_host
 
+PLAIN = 0.3  # fields: below, approximate orientations are rough, not confused
 EXPLAINED = 0.2  # of the angles off: what an alternative may leave
 MIRRORED = (
     ("y", np.array([[1.0, 0.0], [0.0, -1.0]])),
@@ -23,12 +24,14 @@ TURNS = (180.0, 90.0, -90.0)  # deg
 
 
 class Alternative(NamedTuple):
-    """`words`: what would be so. `component`: of the image or ray. `of`: "rays", "attitudes", "stations" or "object"."""
+    """`words`: what would be so. `of`: "rays", "attitudes", "stations", "object" or "both". `component`: of the image or
+    ray. `usual`: a mistake that is made often; others are believed only where no usual one explains as much."""
 
     words: str
     of: str
     component: str
     sight: Sight
+    usual: bool = True
 
 
 class Given(NamedTuple):
@@ -72,7 +75,6 @@ def of_attitudes(given: Given) -> list[Alternative]:
     others = {
         f"{last} of opposite sign": (given.angles * [1, 1, -1], last),
         f"{first} and {middle} exchanged": (given.angles[:, [1, 0, 2]], first),
-        "all angles of opposite sign": (-given.angles, ""),
         **{
             f"angles in {unit}": (given.angles * factor, "")
             for unit, factor in _units(given.unit).items()
@@ -82,12 +84,14 @@ def of_attitudes(given: Given) -> list[Alternative]:
         Alternative(words, "attitudes", component, _attitudes(given.sight, given.system, angles))
         for words, (angles, component) in {**turned, **others}.items()
     ]
+    opposite = _attitudes(given.sight, given.system, -given.angles)
+    alternatives.append(Alternative("all angles of opposite sign", "attitudes", "", opposite, False))
     transposed = given.sight._replace(rotation=given.sight.rotation.transpose(0, 2, 1))
-    alternatives.append(Alternative("the transposed rotation matrix", "attitudes", "", transposed))
+    alternatives.append(Alternative("the transposed rotation matrix", "attitudes", "", transposed, False))
     for system in ROTATION_SYSTEMS.values():
         if system is not given.system:
             sight = _attitudes(given.sight, system, given.angles)
-            alternatives.append(Alternative(f"angles of the system {system.name}", "attitudes", "", sight))
+            alternatives.append(Alternative(f"angles of the system {system.name}", "attitudes", "", sight, False))
     half_turn = given.sight._replace(rotation=given.sight.rotation * [1.0, -1.0, -1.0])
     alternatives.append(Alternative("the cameras looking the other way", "attitudes", first, half_turn))
     return alternatives
@@ -143,6 +147,10 @@ def left(sight: Sight) -> Float[np.ndarray, " image"]:
 
 def mirrored(sight: Sight) -> Alternative | None:
     """The mirrored image coordinates or object system that would make most images agree with their points."""
+    usable = np.isfinite(sight.believed).all(1)[sight.point]
+    doubtful = mostly_beyond(relative_off(sight, sight.believed)[usable], PLAIN, sight.image[usable], len(sight.centre))
+    if 2 * doubtful.sum() <= len(np.unique(sight.image[usable])):
+        return None
     now = left(sight)
     best, most = None, 0.5 * np.isfinite(now).sum()
     for alternative in (*of_rays(sight), *of_object(sight)):

@@ -121,7 +121,8 @@ def angle_off(plane: Float[np.ndarray, "... 2"], vector: Float[np.ndarray, "... 
     across = np.sqrt((b * z + y) ** 2 + (x + a * z) ** 2 + (a * y - b * x) ** 2)
     along = a * x + b * y - z
     angle = np.arctan2(across, along)
-    return np.where((across == 0) & (along == 0), np.nan, angle)
+    angle[(across == 0) & (along == 0)] = np.nan
+    return angle
 
 
 def relative_off(sight: Sight, points: Float[np.ndarray, "point 3"]) -> Float[np.ndarray, " ray"]:
@@ -130,8 +131,7 @@ def relative_off(sight: Sight, points: Float[np.ndarray, "point 3"]) -> Float[np
 
 
 class Intersected(NamedTuple):
-    """Points from their rays alone; NaN where the rays are parallel or fewer than two. `parallax`: the sum over the rays
-    of sin^2 of the angle to their mean direction, roughly (n / 2) sin^2 of the angle of intersection."""
+    """Points from their rays alone; NaN where the rays are parallel or fewer than two. `in_front`: of all cameras."""
 
     points: Float[np.ndarray, "point 3"]
     in_front: Bool[np.ndarray, " point"]
@@ -153,6 +153,22 @@ def intersected(sight: Sight, images: Bool[np.ndarray, " image"] | None = None) 
     depth = ((points[point] - centres.T) * along.T).sum(1)
     behind = np.bincount(point, ~(depth > 0), len(count)) > 0
     return Intersected(points, (count >= 2) & ~behind)
+
+
+def mostly_beyond(
+    values: Float[np.ndarray, " ray"],
+    limits: Float[np.ndarray, " entity"] | float,
+    of: Int[np.ndarray, " ray"],
+    count: int,
+) -> Bool[np.ndarray, " entity"]:
+    """Images or points the (lower) median of whose rays exceeds a limit: without sorting."""
+    beyond = ~(values <= (limits[of] if isinstance(limits, np.ndarray) else limits))
+    return 2 * np.bincount(of, beyond, count) > np.bincount(of, minlength=count)
+
+
+def only(sight: Sight, rays: Bool[np.ndarray, " ray"]) -> Sight:
+    """Some of the rays."""
+    return sight._replace(image=sight.image[rays], point=sight.point[rays], plane=sight.plane[rays])
 
 
 def medians(values: Float[np.ndarray, " ray"], of: Int[np.ndarray, " ray"], count: int) -> Float[np.ndarray, " entity"]:

@@ -16,7 +16,7 @@ from jaxtyping import Bool, Float, Int
 from jaxbundle.approximate.alternatives import mirrored
 from jaxbundle.approximate.oriented import Oriented, oriented
 from jaxbundle.approximate.replaced import hopeless_points, replaced_images, replaced_points
-from jaxbundle.approximate.sight import Sight, intersected, medians, photo_vectors, relative_off, sight_of
+from jaxbundle.approximate.sight import Sight, intersected, medians, mostly_beyond, photo_vectors, relative_off, sight_of
 from jaxbundle.block.block import Block
 from jaxbundle.block.findings import Finding
 from jaxbundle.geometry.rotation import RotationSystem
@@ -57,17 +57,36 @@ def with_checked_start(block: Block) -> tuple[Block, tuple[Finding, ...]]:
         sight = sight_of(block)
         if mirrored(sight) is not None:  # no attitude and no point makes up for that
             return block, ()
-        start = _with_images(_Start(sight, np.full(sight.centre.shape, np.nan)), block)
-        points, hopeless = _with_points(start.sight, block)
-        changed = (points != start.sight.points).any(1) & ~(np.isnan(points) & np.isnan(start.sight.points)).any(1)
-        if not start.replaced.any() and not changed.any() and not hopeless.any():
-            return block, ()
-        findings = [
-            *replaced_images(block, start.replaced, start.sight),
-            *replaced_points(block, changed & ~hopeless, points),
-            *hopeless_points(block, hopeless),
-        ]
-    return _with_values(block, start, points), tuple(findings)
+        checked = checked_start(block, sight)
+    return checked.block, checked.findings
+
+
+class CheckedStart(NamedTuple):
+    """A block with a checked start, what was replaced, its rays, and the images that are absurd still."""
+
+    block: Block
+    findings: tuple[Finding, ...]
+    sight: Sight
+    suspects: Bool[np.ndarray, " image"]
+
+
+def checked_start(block: Block, sight: Sight) -> CheckedStart:
+    """As `with_checked_start`, of a concrete block whose rays are prepared and not mirrored."""
+    suspects = suspect_images(sight)
+    start = _Start(sight, np.full(sight.centre.shape, np.nan))
+    if suspects.any():
+        start = _with_images(start, block)
+        suspects = suspect_images(start.sight)
+    points, hopeless = _with_points(start.sight, block, suspects)
+    changed = (points != sight.points).any(1) & np.isfinite(points).all(1)
+    if not start.replaced.any() and not changed.any():
+        return CheckedStart(block, (), sight, suspects)
+    findings = (
+        *replaced_images(block, start.replaced, start.sight),
+        *replaced_points(block, changed & ~hopeless, points),
+        *hopeless_points(block, hopeless),
+    )
+    return CheckedStart(_with_values(block, start, points), findings, start.sight._replace(points=points), suspects)
 
 
 def _with_values(block: Block, start: _Start, points: Float[np.ndarray, "point 3"]) -> Block:
@@ -85,8 +104,7 @@ def suspect_images(sight: Sight) -> Bool[np.ndarray, " image"]:
     count = len(sight.centre)
     # images in one place that is a mean or none of them may be right by chance
     limit = np.where(_shared_place(sight), CONSISTENT, ABSURD)
-    absurd = ~(medians(relative_off(sight, sight.believed), sight.image, count) <= limit)
-    absurd &= np.bincount(sight.image, minlength=count) > 0
+    absurd = mostly_beyond(relative_off(sight, sight.believed), limit, sight.image, count)
     if not absurd.any():
         return absurd
     return absurd & ~_agree(sight, np.ones(count, bool))
@@ -204,17 +222,20 @@ def _the_wrong_one(sight: Sight, suspects: Bool[np.ndarray, " image"], may: Bool
     return at
 
 
-def _with_points(sight: Sight, block: Block) -> tuple[Float[np.ndarray, "point 3"], Bool[np.ndarray, " point"]]:
+def _with_points(
+    sight: Sight, block: Block, suspects: Bool[np.ndarray, " image"]
+) -> tuple[Float[np.ndarray, "point 3"], Bool[np.ndarray, " point"]]:
     """Coordinates with absurd ones replaced; and the points whose rays do not meet, far away in front."""
     count = len(sight.points)
     free = block.structure.point_free.all(1) & ~sight.is_known
     rays = np.bincount(sight.point, minlength=count)
-    now = medians(relative_off(sight, sight.points), sight.point, count)
-    absurd = free & (rays >= 2) & ~(now <= ABSURD)
+    q = relative_off(sight, sight.points)
+    absurd = free & (rays >= 2) & mostly_beyond(q, ABSURD, sight.point, count)
     none = np.zeros(count, bool)
     if not absurd.any():
         return sight.points, none
-    good_images = ~suspect_images(sight)
+    now = medians(q, sight.point, count)
+    good_images = ~suspects
     absurd &= np.bincount(sight.point[good_images[sight.image]], minlength=count) >= 2
     meet = intersected(sight, good_images)
     new = np.where(meet.in_front, medians(relative_off(sight, meet.points), sight.point, count), np.inf)

@@ -8,6 +8,7 @@ import numpy as np
 from jaxtyping import Bool, Float
 
 from jaxbundle.approximate.alternatives import (
+    PLAIN,
     Given,
     explains,
     left,
@@ -17,15 +18,13 @@ from jaxbundle.approximate.alternatives import (
     of_stations,
 )
 from jaxbundle.approximate.replaced import counted, named
-from jaxbundle.approximate.sight import HALF, Sight, off, sight_of
-from jaxbundle.approximate.start import suspect_images
+from jaxbundle.approximate.sight import HALF, Sight, mostly_beyond, off, only, relative_off
+from jaxbundle.approximate.start import CheckedStart
 from jaxbundle.block.block import Block
 from jaxbundle.block.findings import Finding, Kind, Severity, Subject
 
-PLAIN = 0.3  # fields: below, approximate attitudes are rough, not confused
 MOST = 0.5  # share of an image's rays behind that is told
 FEW_BEHIND = 0.01  # share of all rays: real blocks have some far or wrong points behind
-ALIKE, ROUGH = 1.2, 0.02  # causes that explain images alike: times the best, and fields
 ONE_PLACE = 1e-9  # of the coordinates
 LEAST_KNOWN = 4  # rays of control that tell a mirrored system without other points
 
@@ -35,8 +34,8 @@ def mirrored_finding(block: Block, sight: Sight) -> Finding | None:
     found = mirrored(sight)
     known = sight.is_known
     if found is None and known[sight.point].sum() >= LEAST_KNOWN and not known.all():
-        alone = np.where(known[:, None], sight.points, np.nan)  # other points may be intersected in a mirrored world
-        found = mirrored(sight._replace(points=alone))
+        alone = only(sight, known[sight.point])  # other points may be intersected in a mirrored world
+        found = mirrored(alone)
     if found is None:
         return None
     now, then = np.nanmedian(left(sight)), np.nanmedian(left(found.sight))
@@ -55,12 +54,12 @@ def mirrored_finding(block: Block, sight: Sight) -> Finding | None:
     return Finding(Kind.FORMAT, what, cure, subjects)
 
 
-def start_findings(block: Block, checked: Block, told_points: set[str]) -> list[Finding]:
+def start_findings(block: Block, given: Sight, checked: CheckedStart, told_points: set[str]) -> list[Finding]:
     """What is absurd about the approximate values of the images, with the likely cause.
 
     `told_points`: control that was found wrong already; its rays tell nothing of the images.
     """
-    given, reference = sight_of(block), sight_of(checked)
+    reference = checked.sight
     sight = given._replace(points=reference.points)
     s = block.structure
     same = _one_place(block)
@@ -68,7 +67,7 @@ def start_findings(block: Block, checked: Block, told_points: set[str]) -> list[
     if not same:
         for words, images, component in _confusions(block, sight):
             findings.append(_confusion(block, words, images, component))
-    remaining = suspect_images(reference)
+    remaining = checked.suspects
     if remaining.any() and not same:
         findings.append(_unexplained(block, reference, remaining))
     believed = ~np.isin(np.array(s.point_names), list(told_points)) if told_points else np.ones(len(s.point_names), bool)
@@ -78,10 +77,11 @@ def start_findings(block: Block, checked: Block, told_points: set[str]) -> list[
 def _confusions(block: Block, sight: Sight) -> list[tuple[str, Bool[np.ndarray, " image"], str]]:
     """Alternatives that explain images, the one that explains most first."""
     s = block.structure
-    now = left(sight)
-    open_images = now > PLAIN
+    q = relative_off(sight, sight.believed)
+    open_images = mostly_beyond(q, PLAIN, sight.image, len(s.image_names))
     if not open_images.any():
         return []
+    now = left(sight)
     given = Given(sight, np.asarray(block.exterior.angles), s.rotation_system, s.angle_unit)
     alternatives = [*of_attitudes(given), *of_stations(sight), *of_both(sight)]
     rest = [left(alternative.sight) for alternative in alternatives]
@@ -92,9 +92,7 @@ def _confusions(block: Block, sight: Sight) -> list[tuple[str, Bool[np.ndarray, 
         if not most:
             break
         equal = [k for k, e in enumerate(explained) if e.sum() == most]
-        least = [_median(rest[k], explained[k]) for k in equal]
-        # what stands first is the more usual mistake: it is taken unless another one explains more closely
-        best = next(k for k, m in zip(equal, least, strict=True) if m <= ALIKE * min(least) + ROUGH)
+        best = min(equal, key=lambda k: (not alternatives[k].usual, _median(rest[k], explained[k])))
         found.append((alternatives[best].words, explained[best], alternatives[best].component))
         open_images = open_images & ~explained[best]
     return found

@@ -7,7 +7,7 @@ orientations and control are not judged by them.
 import numpy as np
 
 from jaxbundle.approximate.sight import sight_of
-from jaxbundle.approximate.start import suspect_images, with_checked_start
+from jaxbundle.approximate.start import checked_start
 from jaxbundle.block.block import Block
 from jaxbundle.block.findings import Finding, Severity, in_order
 from jaxbundle.diagnosis.approximations import mirrored_finding, start_findings, two_roles
@@ -36,9 +36,8 @@ def prepared(block: Block) -> tuple[Block, tuple[Finding, ...]]:
         mirror = mirrored_finding(block, sight)
         if mirror is not None:
             return block, in_order([*findings, mirror])
-        checked, replaced = with_checked_start(block)
-        after = sight_of(checked)
-        control = [] if suspect_images(after).any() else control_findings(checked, after)
+        checked = checked_start(block, sight)
+        control = [] if checked.suspects.any() else control_findings(checked.block, checked.sight)
         told = {subject.names[0] for finding in control for subject in finding.subjects}
-        findings += [*replaced, *control, *start_findings(block, checked, told)]
-    return checked, in_order(findings)
+        findings += [*checked.findings, *control, *start_findings(block, sight, checked, told)]
+    return checked.block, in_order(findings)

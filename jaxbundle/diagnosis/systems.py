@@ -10,7 +10,7 @@ import numpy as np
 from jaxtyping import Float, Int
 
 from jaxbundle.approximate.replaced import counted, named
-from jaxbundle.approximate.sight import Sight, intersected, medians, photo_vectors, relative_off
+from jaxbundle.approximate.sight import Sight, intersected, medians, only, photo_vectors, relative_off
 from jaxbundle.block.block import Block
 from jaxbundle.block.findings import Finding, Kind, Severity, Subject
 
@@ -52,14 +52,13 @@ def control_findings(block: Block, sight: Sight) -> list[Finding]:
 
 
 def _control(sight: Sight) -> _Control:
-    meet = intersected(sight)
-    met = meet.points
-    chosen = np.flatnonzero(sight.is_known & meet.in_front & np.isfinite(met).all(1))
-    seen = medians(relative_off(sight, sight.believed), sight.point, len(sight.points))
-    tie = np.where(np.isfinite(met), met, np.nan)
-    depth = np.abs(photo_vectors(sight, tie)[:, 2])
-    typical = float(np.nanmedian(depth)) if np.isfinite(depth).any() else np.inf
-    return _Control(chosen, sight.known[chosen], met[chosen], seen[chosen], typical)
+    sight = only(sight, sight.is_known[sight.point])
+    meet, count = intersected(sight), len(sight.points)
+    chosen = np.flatnonzero(sight.is_known & meet.in_front)
+    seen = medians(relative_off(sight, sight.known), sight.point, count)
+    depth = np.abs(photo_vectors(sight, meet.points)[meet.in_front[sight.point], 2])
+    typical = float(np.median(depth)) if len(depth) else np.inf
+    return _Control(chosen, sight.known[chosen], meet.points[chosen], seen[chosen], typical)
 
 
 def _whole(block: Block, control: _Control) -> list[Finding]:
