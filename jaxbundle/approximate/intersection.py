@@ -39,7 +39,7 @@ def intersect(block: Block) -> Block:
     image = block.structure.ray_image[rays]
     directions = on_host(_directions(block, on_device(rays), on_device(image)))
     centres = on_host(block.exterior.projection_centre).T[:, image]
-    closest = _closest_to_rays(directions, centres, ray_point[rays], len(points))
+    closest = closest_to_rays(directions, centres, ray_point[rays], len(points))
     return eqx.tree_at(lambda b: b.object_points, block, on_device(xp.where(missing, closest.T, points)))
 
 
@@ -53,7 +53,7 @@ def _directions(block: Block, rays: Int[Array, " ray"], image: Int[Array, " ray"
     return jnp.stack(rotation.apply(tuple(unknowns.rotation[:, image]), along))
 
 
-def _closest_to_rays(
+def closest_to_rays(
     directions: Float[Array | np.ndarray, "3 ray"],
     centres: Float[Array | np.ndarray, "3 ray"],
     ray_point: Int[np.ndarray, " ray"],

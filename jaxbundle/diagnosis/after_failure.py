@@ -1,0 +1,235 @@
+"""What is wrong where an adjustment did not converge, or ended with residuals beyond any use.
+
+A gross error of control bends and turns a block until nothing fits: final residuals say little. So control is first
+observed so loosely that the rays decide on the shape of the block, and reweighted by its residuals until those that
+agree carry the block (an estimate of least sums, Krarup, Juhl, Kubik 1980); what then stands far off is held back, and
+the block is adjusted again as it was. What lets it converge is named, with the size of its error.
+"""
+
+import dataclasses
+from typing import NamedTuple
+
+import equinox as eqx
+import numpy as np
+from jaxtyping import Bool, Float, Int
+
+from jaxbundle.approximate.replaced import counted, named
+from jaxbundle.approximate.sight import intersected, photo_vectors, sight_of
+from jaxbundle.block.block import Block
+from jaxbundle.block.changes import without_component
+from jaxbundle.block.findings import Finding, Kind, Subject
+from jaxbundle.block.observations import CONTROL, observation_group
+from jaxbundle.block.problems import BlockError
+from jaxbundle.numerics.host import on_device, on_host
+from jaxbundle.solve.adjust import adjust
+from jaxbundle.solve.adjustment import Adjustment, Status
+
+ABSURD = 10.0  # sigma0 at which residuals are beyond any use
+CURED = 0.3  # of sigma0, left without what is named
+LOOSE = 0.02  # of the depth: sigma of loose control; flight plans and models are better
+ROUNDS = 4  # of reweighting: residuals of what is wrong grow to their errors
+OUTLYING = 6.0  # times the median distance of the others
+SIDE_EFFECT = 0.05  # of the largest error: below, a point may have been bent
+FAR = 0.3  # of the depth: control is started where its rays meet
+ITERATIONS = 50  # of a try
+LEAST = 4  # control points; of three none can be told wrong
+EXTREME = 1e-4  # of the median sigma: an observation that weighs 10^8 times the others
+
+
+def causes(start: Block, adjustment: Adjustment) -> tuple[Finding, ...]:
+    """What keeps a block from converging: observations of extreme weight, control points that contradict the others.
+
+    `start`: the block as it was given to the adjustment. Nothing is tried where the adjustment ended well.
+    """
+    ended_well = adjustment.status is Status.CONVERGED and float(adjustment.sigma0) <= ABSURD
+    if ended_well or not start.concrete or adjustment.status is Status.INTERRUPTED:
+        return ()
+    with np.errstate(all="ignore"):
+        return (*_extreme_sigmas(start), *_wrong_control(start, adjustment))
+
+
+def _extreme_sigmas(block: Block) -> list[Finding]:
+    """Observations whose sigmas are far below those of their table."""
+    s = block.structure
+    findings = []
+    sigmas = np.asarray(block.rays.sigmas).min(1)
+    few = np.flatnonzero(sigmas < EXTREME * np.median(sigmas)) if len(sigmas) else np.zeros(0, int)
+    if len(few):
+        names = [(s.image_names[s.ray_image[k]], s.point_names[s.ray_point[k]]) for k in few]
+        what = (
+            f"{counted(len(few), 'ray')} with a sigma of {sigmas[few].min():.3g} against {np.median(sigmas):.3g} of the"
+            f" others: {named([f'point {point} on image {image}' for image, point in names])}"
+        )
+        subjects = tuple(Subject("rays", name) for name in names)
+        findings.append(Finding(Kind.SIGMAS, what, "correct the sigma, and its unit", subjects, float(sigmas[few].min())))
+    for group in block.groups:
+        if group.structure.kind is CONTROL and group.covariances is None:
+            findings += _extreme_control(block, group.structure.indices[:, 0], np.asarray(group.sigmas), group.structure.observed)
+    return findings
+
+
+def _extreme_control(
+    block: Block,
+    point: Int[np.ndarray, " member"],
+    sigmas: Float[np.ndarray, "member 3"],
+    observed: Bool[np.ndarray, "member 3"],
+) -> list[Finding]:
+    if not observed.any():
+        return []
+    typical = np.median(sigmas[observed])
+    few = np.flatnonzero((observed & (sigmas < EXTREME * typical)).any(1))
+    if not len(few):
+        return []
+    names = [block.structure.point_names[point[k]] for k in few]
+    least, unit = np.where(observed, sigmas, np.inf)[few].min(), block.structure.object_unit
+    what = f"{counted(len(few), 'control point')} with a sigma of {least:.3g} {unit} against {typical:.3g} {unit} of the others: {named(names)}"
+    cure = "correct the sigma, or hold the point with sigma 0"
+    return [Finding(Kind.SIGMAS, what, cure, tuple(Subject("control", (name,)) for name in names), float(least), unit)]
+
+
+class _Loose(NamedTuple):
+    """A block whose control is one group; the number of that group and its points."""
+
+    block: Block
+    group: int
+    point: Int[np.ndarray, " member"]
+
+
+def _wrong_control(start: Block, adjustment: Adjustment) -> list[Finding]:
+    """Control points without which the block converges."""
+    control = _as_observed(start)
+    if control is None or len(control.point) < LEAST:
+        return []
+    wrong = _far_off(control)
+    if wrong is None or not wrong.any() or 2 * wrong.sum() >= len(wrong):
+        return []
+    without = _try(_held_back(control, wrong))
+    if without is None:
+        return []
+    error = np.linalg.norm(_errors(control, without), axis=1)
+    large = wrong & (error > SIDE_EFFECT * error[wrong].max())
+    if (large != wrong).any():  # innocent points that were bent by the large errors
+        again = _try(_held_back(control, large))
+        if again is not None and float(again.sigma0) <= ABSURD:
+            wrong, without = large, again
+    before, after = float(adjustment.sigma0), float(without.sigma0)
+    if not (after <= ABSURD or after <= CURED * before):
+        return []
+    return [_named(start, control, wrong, without)]
+
+
+def _as_observed(block: Block) -> _Loose | None:
+    """The block with held control points observed instead, in the same group as the others."""
+    groups = [k for k, group in enumerate(block.groups) if group.structure.kind is CONTROL and group.covariances is None]
+    free = block.structure.point_free
+    held = np.flatnonzero(~free.all(1))
+    if len(groups) > 1 or (not groups and not len(held)):
+        return None
+    if not len(held):
+        return _Loose(block, groups[0], block.groups[groups[0]].structure.indices[:, 0])
+    values = np.full((len(free), 3), np.nan)
+    sigmas = np.full((len(free), 3), np.nan)
+    if groups:
+        group = block.groups[groups[0]]
+        point, observed = group.structure.indices[:, 0], group.structure.observed
+        values[point] = np.where(observed, np.asarray(group.values), np.nan)
+        sigmas[point] = np.where(observed, np.asarray(group.sigmas), np.nan)
+    typical = np.nanmedian(sigmas) if np.isfinite(sigmas).any() else LOOSE * LOOSE * _depth(block)
+    values, sigmas = np.where(free, values, np.asarray(block.object_points)), np.where(free, sigmas, typical)
+    chosen = np.flatnonzero(np.isfinite(values).any(1))
+    new = observation_group(CONTROL, chosen[:, None], values[chosen], sigmas[chosen])
+    others = tuple(group for k, group in enumerate(block.groups) if k not in groups)
+    structure = dataclasses.replace(block.structure, point_free=np.ones_like(free))
+    return _Loose(dataclasses.replace(block, structure=structure, groups=(*others, new)), len(others), chosen)
+
+
+def _depth(block: Block) -> float:
+    sight = sight_of(block)
+    return float(np.median(np.abs(photo_vectors(sight, sight.points)[:, 2])))
+
+
+def _far_off(control: _Loose) -> Bool[np.ndarray, " member"] | None:
+    """Control points that stand far off when the others agree."""
+    block, group = _started_where_rays_meet(control.block), control.block.groups[control.group]
+    observed, values = group.structure.observed, np.asarray(group.values)
+    sigma = np.full(len(values), LOOSE * _depth(block))
+    factor = np.maximum(1.0, (_distances(block, control.point, values, observed) / sigma) ** 2)
+    for _ in range(ROUNDS):
+        loose = np.where(observed, (sigma * factor)[:, None], 1.0)
+        block = eqx.tree_at(lambda b: b.groups[control.group].sigmas, block, on_device(loose))
+        found = _try(block, converged=False)
+        if found is None:
+            return None
+        block = found.block
+        distance = _distances(block, control.point, values, observed)
+        typical = max(float(np.median(distance)), float(np.finfo(float).tiny))
+        factor = np.maximum(1.0, (distance / typical) ** 2)
+    others = np.array([np.median(np.delete(distance, k)) for k in range(len(distance))])
+    return distance > np.maximum(OUTLYING * others, sigma / OUTLYING)
+
+
+def _started_where_rays_meet(block: Block) -> Block:
+    """The block with control points that start far off put where their rays meet."""
+    sight = sight_of(block)
+    meet = intersected(sight)
+    far = np.linalg.norm(meet.points - sight.points, axis=1) > FAR * _depth(block)
+    moved = sight.is_known & meet.in_front & far
+    return eqx.tree_at(
+        lambda b: b.object_points, block, on_device(np.where(moved[:, None], meet.points, sight.points))
+    )
+
+
+def _distances(
+    block: Block,
+    point: Int[np.ndarray, " member"],
+    values: Float[np.ndarray, "member 3"],
+    observed: Bool[np.ndarray, "member 3"],
+) -> Float[np.ndarray, " member"]:
+    return np.linalg.norm(np.where(observed, on_host(block.object_points)[point] - values, 0.0), axis=1)
+
+
+def _held_back(control: _Loose, wrong: Bool[np.ndarray, " member"]) -> Block:
+    block = control.block
+    block = _started_where_rays_meet(block)
+    for member in np.flatnonzero(wrong):
+        for component in range(3):
+            block = without_component(block, control.group, int(member), component)
+    return block
+
+
+def _try(block: Block, converged: bool = True) -> Adjustment | None:
+    """The adjustment; None where it cannot be made or, if that is asked, does not converge."""
+    try:
+        found = adjust(block, precision=False, max_iterations=ITERATIONS)
+    except BlockError:
+        return None
+    usable = found.status is Status.CONVERGED or (not converged and found.status is Status.MAXIMUM_ITERATIONS)
+    return found if usable and np.isfinite(float(found.sigma0)) else None
+
+
+def _errors(control: _Loose, found: Adjustment) -> Float[np.ndarray, "member 3"]:
+    """Given less adjusted coordinates, 0 where nothing is given."""
+    group = control.block.groups[control.group]
+    error = np.asarray(group.values) - on_host(found.block.object_points)[control.point]
+    return np.where(group.structure.observed, error, 0.0)
+
+
+def _named(start: Block, control: _Loose, wrong: Bool[np.ndarray, " member"], without: Adjustment) -> Finding:
+    """The control points that were held back, with their errors."""
+    s, members = start.structure, np.flatnonzero(wrong)
+    error = _errors(control, without)[members]
+    size = np.linalg.norm(error, axis=1)
+    order = np.argsort(-size)
+    names = [s.point_names[control.point[members[k]]] for k in order]
+    parts = [
+        f"{name} ({', '.join(f'{x:.4g}' for x in error[k])}) {s.object_unit}"
+        for name, k in zip(names, order, strict=True)
+    ]
+    one = len(names) == 1
+    what = (
+        f"without {'control point' if one else 'control points'} {named(names)} the adjustment converges with sigma0"
+        f" {float(without.sigma0):.4g}; errors of the given X, Y, Z: {named(parts)}"
+    )
+    cure = f"check {'its' if one else 'their'} coordinates and name{'' if one else 's'}, or drop {'it' if one else 'them'}"
+    subjects = tuple(Subject("control", (name,)) for name in names)
+    return Finding(Kind.SUSPECT, what, cure, subjects, float(size.max()), s.object_unit)

@@ -1,0 +1,179 @@
+"""Approximate orientations against the points: what of them is absurd, and what was confused.
+
+The reference are the points as a checked start has them. A confusion (kappa turned, angles in another unit, Z0 of
+opposite sign) is named for all images that it explains, each far better than as given.
+"""
+
+import numpy as np
+from jaxtyping import Bool, Float
+
+from jaxbundle.approximate.alternatives import (
+    PLAIN,
+    Given,
+    explains,
+    left,
+    mirrored,
+    of_attitudes,
+    of_both,
+    of_stations,
+)
+from jaxbundle.approximate.replaced import counted, named
+from jaxbundle.approximate.sight import HALF, Sight, mostly_beyond, off, only, relative_off
+from jaxbundle.approximate.start import CheckedStart
+from jaxbundle.block.block import Block
+from jaxbundle.block.findings import Finding, Kind, Severity, Subject
+
+MOST = 0.5  # share of an image's rays behind that is told
+FEW_BEHIND = 0.01  # share of all rays: real blocks have some far or wrong points behind
+ONE_PLACE = 1e-9  # of the coordinates
+LEAST_KNOWN = 4  # rays of control that tell a mirrored system without other points
+
+
+def mirrored_finding(block: Block, sight: Sight) -> Finding | None:
+    """Image coordinates that are mirrored, or an object system that is left-handed."""
+    found = mirrored(sight)
+    known = sight.is_known
+    if found is None and known[sight.point].sum() >= LEAST_KNOWN and not known.all():
+        alone = only(sight, known[sight.point])  # other points may be intersected in a mirrored world
+        found = mirrored(alone)
+    if found is None:
+        return None
+    now, then = np.nanmedian(left(sight)), np.nanmedian(left(found.sight))
+    images = tuple(Subject("images", (name,)) for name in block.structure.image_names)
+    of_all = f"of all {len(images)} images"
+    if found.of == "object":
+        what = f"the rays {of_all} do not agree with their points; they would with {found.words}"
+        cure = "give coordinates in a right-handed system: X east, Y north, Z up"
+        return Finding(Kind.CONTROL_SYSTEM, what, cure, images, float(now / max(then, 1e-12)))
+    what = f"the rays {of_all} do not agree with their points; they would with {found.words} in the images"
+    cure = {
+        "y": "px need y down from the top left corner, mm need y up: turn the sign of y",
+        "x": "the photos are read from the wrong side: turn the sign of x",
+    }.get(found.component, "exchange the columns x and y of rays.csv")
+    subjects = (Subject("rays", (), "" if " " in found.component else found.component), *images)
+    return Finding(Kind.FORMAT, what, cure, subjects)
+
+
+def start_findings(block: Block, given: Sight, checked: CheckedStart, told_points: set[str]) -> list[Finding]:
+    """What is absurd about the approximate values of the images, with the likely cause.
+
+    `told_points`: control that was found wrong already; its rays tell nothing of the images.
+    """
+    reference = checked.sight
+    sight = given._replace(points=reference.points)
+    s = block.structure
+    same = _one_place(block)
+    findings = [*same]
+    if not same:
+        for words, images, component in _confusions(block, sight):
+            findings.append(_confusion(block, words, images, component))
+    remaining = checked.suspects
+    if remaining.any() and not same:
+        findings.append(_unexplained(block, reference, remaining))
+    believed = ~np.isin(np.array(s.point_names), list(told_points)) if told_points else np.ones(len(s.point_names), bool)
+    return findings if same else [*findings, *_behind(block, reference, believed[reference.point])]
+
+
+def _confusions(block: Block, sight: Sight) -> list[tuple[str, Bool[np.ndarray, " image"], str]]:
+    """Alternatives that explain images, the one that explains most first."""
+    s = block.structure
+    q = relative_off(sight, sight.believed)
+    open_images = mostly_beyond(q, PLAIN, sight.image, len(s.image_names))
+    if not open_images.any():
+        return []
+    now = left(sight)
+    given = Given(sight, np.asarray(block.exterior.angles), s.rotation_system, s.angle_unit)
+    alternatives = [*of_attitudes(given), *of_stations(sight), *of_both(sight)]
+    rest = [left(alternative.sight) for alternative in alternatives]
+    found = []
+    while open_images.any():
+        explained = [explains(r, now) & open_images for r in rest]
+        most = max(e.sum() for e in explained)
+        if not most:
+            break
+        equal = [k for k, e in enumerate(explained) if e.sum() == most]
+        best = min(equal, key=lambda k: (not alternatives[k].usual, _median(rest[k], explained[k])))
+        found.append((alternatives[best].words, explained[best], alternatives[best].component))
+        open_images = open_images & ~explained[best]
+    return found
+
+
+def _median(values: Float[np.ndarray, " image"], chosen: Bool[np.ndarray, " image"]) -> float:
+    return float(np.nan_to_num(np.nanmedian(values[chosen]), nan=np.inf))
+
+
+def _whom(block: Block, images: Bool[np.ndarray, " image"]) -> str:
+    names = [block.structure.image_names[k] for k in np.flatnonzero(images)]
+    if len(names) == len(images) and len(names) > 1:
+        return f"all {len(names)} images"
+    return f"image {names[0]}" if len(names) == 1 else f"{counted(len(names), 'image')} ({named(names)})"
+
+
+def _subjects(block: Block, images: Bool[np.ndarray, " image"], component: str = "") -> tuple[Subject, ...]:
+    return tuple(Subject("images", (block.structure.image_names[k],), component) for k in np.flatnonzero(images))
+
+
+def _confusion(block: Block, words: str, images: Bool[np.ndarray, " image"], component: str) -> Finding:
+    what = f"{_whom(block, images)}: the approximate orientation does not agree with the points; it would with {words}"
+    return Finding(Kind.START, what, "correct images.csv", _subjects(block, images, component))
+
+
+def _unexplained(block: Block, sight: Sight, images: Bool[np.ndarray, " image"]) -> Finding:
+    angles = np.degrees(off(sight, sight.believed))
+    worst = np.nan_to_num(np.array([np.median(angles[sight.image == k]) for k in np.flatnonzero(images)]), nan=180.0)
+    what = (
+        f"{_whom(block, images)}: the rays pass their points by {np.median(worst):.3g} deg (median) at the approximate"
+        " orientation, and no resection agrees with them"
+    )
+    cure = "correct images.csv, or the names and coordinates of the points on these images"
+    order = np.flatnonzero(images)[np.argsort(-worst)]
+    subjects = tuple(Subject("images", (block.structure.image_names[k],)) for k in order)
+    return Finding(Kind.START, what, cure, subjects, float(np.median(worst)), "deg")
+
+
+def _one_place(block: Block) -> list[Finding]:
+    """All stations equal."""
+    centres, s = np.asarray(block.exterior.projection_centre), block.structure
+    if len(centres) < 2 or np.abs(centres - centres[0]).max() > ONE_PLACE * max(np.abs(centres).max(), 1e-300):
+        return []
+    place = ", ".join(f"{x:g}" for x in centres[0])
+    what = f"all {len(centres)} images have their approximate projection centre in one place ({place})"
+    return [Finding(Kind.START, what, "give each image its own X0, Y0, Z0", _subjects(block, np.ones(len(centres), bool)))]
+
+
+def _behind(block: Block, sight: Sight, judged: Bool[np.ndarray, " ray"]) -> list[Finding]:
+    """Rays whose point lies behind the camera, and those that have no direction."""
+    s = block.structure
+    angle = off(sight, sight.believed)
+    findings = []
+    centred = np.flatnonzero(np.isnan(angle))
+    if len(centred):
+        pairs = [(s.image_names[sight.image[k]], s.point_names[sight.point[k]]) for k in centred]
+        listing = named([f"point {point} in that of image {image}" for image, point in pairs])
+        what = f"{counted(len(pairs), 'approximate point')} coincide with a projection centre: {listing}"
+        subjects = tuple(Subject("points", (point,)) for point in dict.fromkeys(point for _, point in pairs))
+        findings.append(Finding(Kind.START, what, "correct the coordinates of the point or of the image", subjects))
+    behind = judged & (angle > HALF)
+    count = np.bincount(sight.image[behind], minlength=len(s.image_names))
+    rays = np.bincount(sight.image, minlength=len(s.image_names))
+    images = count > MOST * rays
+    if images.any() or behind.sum() > FEW_BEHIND * len(behind):
+        images |= (count > 0) & ~images.any()
+        what = f"{behind.sum()} of {len(behind)} rays have their approximate point behind the camera: {_whom(block, images)}"
+        cure = "check the signs of Z0 and of the angles, and whether y of the image coordinates points up or down"
+        findings.append(Finding(Kind.START, what, cure, _subjects(block, images), float(behind.sum()), "rays"))
+    return findings
+
+
+def two_roles(block: Block) -> list[Finding]:
+    """Check points that are control as well."""
+    s = block.structure
+    control = {int(p) for group in block.groups if group.structure.kind.name == "control" for p in group.structure.indices[:, 0]}
+    control |= set(np.flatnonzero(~s.point_free.any(1)).tolist())
+    names = [s.point_names[p] for p in s.check_point.tolist() if p in control]
+    if not names:
+        return []
+    what = f"{counted(len(names), 'point')} both control and check: {named(names)}"
+    subjects = tuple(Subject("control", (name,)) for name in names)
+    cure = "a check point must not take part: give each point one role"
+    return [Finding(Kind.CONTROL_SYSTEM, what, cure, subjects, grade=Severity.CHECK)]

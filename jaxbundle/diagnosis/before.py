@@ -1,0 +1,43 @@
+"""What a block tells before it is adjusted: plausibility from its numbers alone, the likely cause and the cure.
+
+A cause is told without its consequences: where the rays do not fit their format or the principal distance is absurd,
+orientations and control are not judged by them.
+"""
+
+import numpy as np
+
+from jaxbundle.approximate.sight import sight_of
+from jaxbundle.approximate.start import checked_start
+from jaxbundle.block.block import Block
+from jaxbundle.block.findings import Finding, Severity, in_order
+from jaxbundle.diagnosis.approximations import mirrored_finding, start_findings, two_roles
+from jaxbundle.diagnosis.image_format import format_findings
+from jaxbundle.diagnosis.interior import interior_findings
+from jaxbundle.diagnosis.systems import control_findings
+
+
+def plausibility(block: Block) -> tuple[Finding, ...]:
+    """What is implausible about the numbers of a concrete block, by severity, causes first."""
+    return prepared(block)[1] if block.concrete else ()
+
+
+def prepared(block: Block) -> tuple[Block, tuple[Finding, ...]]:
+    """The block with a start that is checked, and all that was found: implausible numbers, and what was replaced.
+
+    Approximate values are replaced only where the numbers they are judged by are plausible themselves.
+    """
+    if not block.concrete or not len(block.structure.ray_image):
+        return block, ()
+    with np.errstate(all="ignore"):
+        findings = [*format_findings(block), *interior_findings(block), *two_roles(block)]
+        if any(finding.severity is Severity.FAILED for finding in findings):
+            return block, in_order(findings)
+        sight = sight_of(block)
+        mirror = mirrored_finding(block, sight)
+        if mirror is not None:
+            return block, in_order([*findings, mirror])
+        checked = checked_start(block, sight)
+        control = [] if checked.suspects.any() else control_findings(checked.block, checked.sight)
+        told = {subject.names[0] for finding in control for subject in finding.subjects}
+        findings += [*checked.findings, *control, *start_findings(block, sight, checked, told)]
+    return checked.block, in_order(findings)
