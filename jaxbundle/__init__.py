@@ -31,6 +31,7 @@ if TYPE_CHECKING:
     from jaxbundle.block.changes import with_interior_held
     from jaxbundle.block.datum import with_datum
     from jaxbundle.block.datum_defect import DatumDefect, datum_defect
+    from jaxbundle.block.findings import Finding, Severity
     from jaxbundle.block.geodetic import DISTANCES, LINES, PLANES, geodetic_kind
     from jaxbundle.block.navigation import ATTITUDES, GNSS
     from jaxbundle.block.observations import (
@@ -49,6 +50,8 @@ if TYPE_CHECKING:
     from jaxbundle.camera.fiducials import FiducialError, InnerOrientation, inner_orientation
     from jaxbundle.camera.model import CameraModel
     from jaxbundle.camera.registry import CAMERA_MODELS
+    from jaxbundle.diagnosis.adjusted import findings
+    from jaxbundle.diagnosis.before import plausibility, prepared
     from jaxbundle.io import read, read_bal, read_block_folder, write_bal, write_block_folder
     from jaxbundle.planning.flight import AerialCamera
     from jaxbundle.planning.simulate import Simulation, simulate
@@ -95,6 +98,7 @@ _MODULES = {
     "block.changes": ("with_interior_held",),
     "block.datum": ("with_datum",),
     "block.datum_defect": ("DatumDefect", "datum_defect"),
+    "block.findings": ("Finding", "Severity"),
     "block.geodetic": ("DISTANCES", "LINES", "PLANES", "geodetic_kind"),
     "block.navigation": ("ATTITUDES", "GNSS"),
     "block.observations": (
@@ -113,6 +117,8 @@ _MODULES = {
     "camera.fiducials": ("FiducialError", "InnerOrientation", "inner_orientation"),
     "camera.model": ("CameraModel",),
     "camera.registry": ("CAMERA_MODELS",),
+    "diagnosis.adjusted": ("findings",),
+    "diagnosis.before": ("plausibility", "prepared"),
     "io": ("read", "read_bal", "read_block_folder", "write_bal", "write_block_folder"),
     "planning.flight": ("AerialCamera",),
     "planning.simulate": ("Simulation", "simulate"),
@@ -167,6 +173,7 @@ __all__ = [
     "DatumDefect",
     "ExteriorOrientation",
     "FiducialError",
+    "Finding",
     "Huber",
     "InnerOrientation",
     "InteriorOrientation",
@@ -180,6 +187,7 @@ __all__ = [
     "Rays",
     "Reliability",
     "Resection",
+    "Severity",
     "Simulation",
     "Snooping",
     "Status",
@@ -201,6 +209,7 @@ __all__ = [
     "datum_defect",
     "error_ellipses",
     "error_ellipsoids",
+    "findings",
     "geodetic_kind",
     "image_rays",
     "influence",
@@ -210,6 +219,8 @@ __all__ = [
     "observation_group",
     "observations_of_kind",
     "parallax_rule",
+    "plausibility",
+    "prepared",
     "read",
     "read_bal",
     "read_block_folder",

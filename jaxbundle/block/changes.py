@@ -1,13 +1,23 @@
 """Changes of what is unknown and of what is observed in a block."""
 
 import dataclasses
+from collections.abc import Iterable
 
 import numpy as np
 
 from jaxbundle.block.block import Block, CheckPoints, Rays
+from jaxbundle.block.findings import Finding, in_order
 from jaxbundle.block.given import require_a
 from jaxbundle.block.observations import ObservationGroup
 from jaxbundle.numerics.host import on_device, on_host
+
+
+def with_findings(block: Block, findings: Iterable[Finding]) -> Block:
+    """The block with more findings of its own."""
+    structure = block.structure
+    return dataclasses.replace(
+        block, structure=dataclasses.replace(structure, findings=in_order([*structure.findings, *findings]))
+    )
 
 
 def with_interior_held(block: Block) -> Block:

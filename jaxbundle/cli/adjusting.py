@@ -10,7 +10,7 @@ import typer
 
 from jaxbundle.block.block import Block
 from jaxbundle.block.changes import with_interior_held
-from jaxbundle.block.findings import Severity
+from jaxbundle.block.findings import Finding
 from jaxbundle.block.problems import BlockError
 from jaxbundle.cli.codes import Code, LostProcess, told
 from jaxbundle.cli.interruption import Interruption
@@ -46,9 +46,11 @@ class Wanted(NamedTuple):
 
 
 class Outcome(NamedTuple):
-    """What became of a block: its adjustment, the folder that its results are in, and what kept them from `folder`."""
+    """What became of a block: its adjustment, what was found, the folder that its results are in, and what kept them
+    from the one that was wanted."""
 
     adjustment: Adjustment
+    found: tuple[Finding, ...]
     folder: Path | None
     code: Code
     problem: str = ""
@@ -61,7 +63,7 @@ def run(path: Path, out: Path | None, wanted: Wanted, stop: Interruption) -> int
     if first:
         if outcome.problem:
             typer.echo(f"jaxbundle: {outcome.problem}", err=True)
-        echo_result(outcome.adjustment)
+        echo_result(outcome.adjustment, outcome.found)
         typer.echo(f"Results: {outcome.folder or 'not written'}")
     finished()
     return outcome.code
@@ -89,24 +91,34 @@ def adjust_path(path: Path, folder: Path, wanted: Wanted, lines: ProgressLines, 
         adjustment = _adjusted(block, wanted, rule, progress)
     stop.finish()
     code = Code.ADJUSTED if adjustment.trustworthy else Code.NOT_TRUSTED
+    with lines.phase("judging"):  # by all processes alike, since it may adjust again
+        outcome = _judged(Outcome(adjustment, adjustment.findings, folder, code), block)
     if not is_first_process():
-        return Outcome(adjustment, None, code)
+        return outcome._replace(folder=None)
     with lines.phase("writing"):
-        return _written(Outcome(adjustment, folder, code))
+        return _written(outcome)
+
+
+def _judged(outcome: Outcome, block: Block) -> Outcome:
+    """With all that is found; whatever goes wrong there, the adjustment itself is kept."""
+    try:
+        return outcome._replace(found=findings(outcome.adjustment, block))
+    except Exception as error:
+        return outcome._replace(code=Code.UNEXPECTED, problem=told(error)[1])
 
 
 def _written(outcome: Outcome) -> Outcome:
     """Writes the results; if they cannot be written to their folder, to a temporary one."""
     assert outcome.folder is not None
     try:
-        write_report(outcome.adjustment, outcome.folder)
+        write_report(outcome.adjustment, outcome.folder, outcome.found)
         return outcome
     except OSError as error:
         code, problem = Code.NOT_WRITTEN, str(error)
     except Exception as error:  # of the report: the adjustment itself is there
         code, problem = Code.UNEXPECTED, told(error)[1]
     try:
-        kept = rescue(outcome.adjustment)
+        kept = rescue(outcome.adjustment, outcome.found)
     except OSError as error:
         return outcome._replace(folder=None, code=code, problem=f"{problem}; nor is there another place: {error}")
     return outcome._replace(folder=kept, code=code, problem=f"{problem}; the results are kept in {kept}")
@@ -140,11 +152,11 @@ def _adjusted(
         raise LostProcess(error) from error
 
 
-def echo_result(adjustment: Adjustment) -> None:
-    """Summary and findings; those that forbid trust are in the summary already."""
+def echo_result(adjustment: Adjustment, found: tuple[Finding, ...]) -> None:
+    """Summary and findings; those of the adjustment itself that forbid trust are in the summary already."""
     typer.echo(adjustment.summary())
-    for finding in findings(adjustment):
-        if finding.severity is not Severity.FAILED:
+    for finding in found:
+        if finding not in adjustment.failures:
             typer.echo("\n".join(wrapped(finding.severity.label, finding.words, 14)))
 
 

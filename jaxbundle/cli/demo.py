@@ -8,6 +8,7 @@ import typer
 from jaxbundle.block.block import Block
 from jaxbundle.cli.adjusting import echo_result
 from jaxbundle.cli.progress import ProgressLines
+from jaxbundle.diagnosis.adjusted import findings
 from jaxbundle.io import write_block_folder
 from jaxbundle.planning.flight import AerialCamera
 from jaxbundle.planning.simulate import Simulation, simulate
@@ -52,8 +53,9 @@ def run(out: Path) -> int:
         write_block_folder(simulation.block, out / name)
         with lines.phase(f"adjusting {name}"):
             adjustment = adjust(simulation.block, progress=lines.iteration)
-        write_report(adjustment, out / f"{name}-adjusted")
-        echo_result(adjustment)
+        found = findings(adjustment, simulation.block)
+        write_report(adjustment, out / f"{name}-adjusted", found)
+        echo_result(adjustment, found)
         typer.echo(
             "\n".join(["  Adjusted less true values, in standard deviations:", *errors(adjustment, simulation.truth)])
         )

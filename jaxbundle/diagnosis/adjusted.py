@@ -1,21 +1,30 @@
 """Everything that is found about an adjustment, in the order of a report."""
 
+from jaxbundle.block.block import Block
 from jaxbundle.block.findings import Finding, Kind, Severity, in_order
+from jaxbundle.diagnosis.after_failure import causes
 from jaxbundle.diagnosis.controlled import controlled_findings
+from jaxbundle.diagnosis.culprits import findings_of_suspects
 from jaxbundle.diagnosis.elements import element_findings
 from jaxbundle.diagnosis.points import point_findings
 from jaxbundle.diagnosis.reweighted import robust_findings
 from jaxbundle.diagnosis.sigmas import sigma_findings
 from jaxbundle.solve.adjustment import Adjustment, Status
+from jaxbundle.statistics.suspects import find_suspects
 
 NO_ERRORS = 1e-6  # sigma0 of observations that have none: residuals are rounding
 NOT_A_MINIMUM = (Kind.MIRRORED, Kind.UNDETERMINED)  # what residuals tell is told of a result that could be right
 
 
-def findings(adjustment: Adjustment) -> tuple[Finding, ...]:
+def findings(adjustment: Adjustment, start: Block | None = None) -> tuple[Finding, ...]:
     """What is wrong with a concrete adjustment or should be looked at: what forbids its use first, then causes before
-    consequences."""
+    consequences.
+
+    `start`: the block as it was given to the adjustment; with it, what kept the block from converging is looked for.
+    """
     found = [*adjustment.findings, *robust_findings(adjustment)]
+    if start is not None:
+        found += causes(start, adjustment)
     if adjustment.status is Status.CONVERGED:
         misled = any(f.kind in NOT_A_MINIMUM and f.severity is Severity.FAILED for f in adjustment.findings)
         if not misled:
@@ -30,4 +39,6 @@ def _of_residuals(adjustment: Adjustment) -> tuple[Finding, ...]:
     """Suspects and sigmas; robust weights make residuals small by themselves."""
     if adjustment.reweighting is not None or float(adjustment.sigma0) < NO_ERRORS:
         return ()
-    return sigma_findings(adjustment)
+    suspects = find_suspects(adjustment)
+    sigmas = sigma_findings(adjustment, suspects.sigma0 if suspects.suspicions else None)
+    return (*findings_of_suspects(suspects, float(adjustment.sigma0)), *sigmas)

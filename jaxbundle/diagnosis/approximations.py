@@ -70,7 +70,9 @@ def start_findings(block: Block, given: Sight, checked: CheckedStart, told_point
     remaining = checked.suspects
     if remaining.any() and not same:
         findings.append(_unexplained(block, reference, remaining))
-    believed = ~np.isin(np.array(s.point_names), list(told_points)) if told_points else np.ones(len(s.point_names), bool)
+    believed = (
+        ~np.isin(np.array(s.point_names), list(told_points)) if told_points else np.ones(len(s.point_names), bool)
+    )
     return findings if same else [*findings, *_behind(block, reference, believed[reference.point])]
 
 
@@ -138,7 +140,9 @@ def _one_place(block: Block) -> list[Finding]:
         return []
     place = ", ".join(f"{x:g}" for x in centres[0])
     what = f"all {len(centres)} images have their approximate projection centre in one place ({place})"
-    return [Finding(Kind.START, what, "give each image its own X0, Y0, Z0", _subjects(block, np.ones(len(centres), bool)))]
+    return [
+        Finding(Kind.START, what, "give each image its own X0, Y0, Z0", _subjects(block, np.ones(len(centres), bool)))
+    ]
 
 
 def _behind(block: Block, sight: Sight, judged: Bool[np.ndarray, " ray"]) -> list[Finding]:
@@ -168,7 +172,12 @@ def _behind(block: Block, sight: Sight, judged: Bool[np.ndarray, " ray"]) -> lis
 def two_roles(block: Block) -> list[Finding]:
     """Check points that are control as well."""
     s = block.structure
-    control = {int(p) for group in block.groups if group.structure.kind.name == "control" for p in group.structure.indices[:, 0]}
+    control = {
+        int(p)
+        for group in block.groups
+        if group.structure.kind.name == "control"
+        for p in group.structure.indices[:, 0]
+    }
     control |= set(np.flatnonzero(~s.point_free.any(1)).tolist())
     names = [s.point_names[p] for p in s.check_point.tolist() if p in control]
     if not names:

@@ -78,11 +78,17 @@ def group_factors(adjustment: Adjustment) -> list[GroupFactor]:
     return factors
 
 
-def sigma_findings(adjustment: Adjustment) -> tuple[Finding, ...]:
-    """One finding where the sigmas do not agree with the residuals: of the whole block, or group by group."""
-    test = global_test(float(adjustment.sigma0), adjustment.redundancy)
+def sigma_findings(adjustment: Adjustment, without_suspects: float | None = None) -> tuple[Finding, ...]:
+    """One finding where the sigmas do not agree with the residuals: of the whole block, or group by group.
+
+    `without_suspects`: sigma0 as suspect observations leave it, which say nothing about sigmas; None if there are none.
+    """
+    test = global_test(
+        float(adjustment.sigma0) if without_suspects is None else without_suspects, adjustment.redundancy
+    )
     limits = f"between {test.lower:.3f} and {test.upper:.3f} is expected"
-    factors = group_factors(adjustment) if adjustment.redundancy_numbers is not None else []
+    grouped = adjustment.redundancy_numbers is not None and without_suspects is None
+    factors = group_factors(adjustment) if grouped else []
     if any(factor.differs for factor in factors):
         listed = "; ".join(f"{f.name} by {f.factor:.2f}" for f in factors)
         what = f"sigma0 is {test.sigma0:.4g} ({limits}), and the groups of observations disagree about their sigmas"
@@ -91,7 +97,8 @@ def sigma_findings(adjustment: Adjustment) -> tuple[Finding, ...]:
         return (Finding(Kind.SIGMAS, what, cure, subjects, test.sigma0),)
     if test.passed:
         return ()
-    what = f"sigma0 is {test.sigma0:.4g}, {limits}"
+    of = "sigma0" if without_suspects is None else "without the suspect observations sigma0"
+    what = f"{of} is {test.sigma0:.4g}, {limits}"
     if test.sigma0 > test.upper:
         reason = "the observations are less accurate than their sigmas, or gross or systematic errors are left"
         cure = f"look at the largest w first, else multiply all sigmas by {test.sigma0:.3g}"

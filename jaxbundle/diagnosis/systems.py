@@ -111,7 +111,11 @@ def _single(block: Block, control: _Control) -> list[Finding]:
     """Points that are far off while the others agree, the worst first; exchanged pairs as one."""
     s, off = block.structure, control.off
     limits = ((off, DISTANT), (control.seen, OUTLYING))
-    suspects = [k for k in np.argsort(-off) if control.seen[k] > SEEN_SINGLE and all(v[k] > f * _typical(v, k) for v, f in limits)]
+    suspects = [
+        k
+        for k in np.argsort(-off)
+        if control.seen[k] > SEEN_SINGLE and all(v[k] > f * _typical(v, k) for v, f in limits)
+    ]
     if 2 * len(suspects) >= len(off):
         return []
     findings, done = [], set()
@@ -129,7 +133,9 @@ def _single(block: Block, control: _Control) -> list[Finding]:
             subjects, cure = (*subjects, Subject("control", (other,))), "exchange the two names"
         elif _agrees(np.linalg.norm(control.given[k][[1, 0, 2]] - control.met[k]), off[k], typical):
             what, cure = f"{what}; with X and Y exchanged it would agree", "exchange its X and Y"
-        findings.append(Finding(Kind.CONTROL_SYSTEM, what, cure, subjects, float(off[k]), s.object_unit, Severity.CHECK))
+        findings.append(
+            Finding(Kind.CONTROL_SYSTEM, what, cure, subjects, float(off[k]), s.object_unit, Severity.CHECK)
+        )
     return findings
 
 

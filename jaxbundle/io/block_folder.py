@@ -21,9 +21,11 @@ from jaxbundle.block.block import (
     Rays,
     Structure,
 )
+from jaxbundle.block.changes import with_findings
 from jaxbundle.block.datum_defect import datum_defect
 from jaxbundle.block.problems import BlockError, Problem, shown
 from jaxbundle.block.validate import validate, weaknesses
+from jaxbundle.diagnosis.before import prepared
 from jaxbundle.geometry.rotation import ROTATION_SYSTEMS
 from jaxbundle.io.block_toml import FILE, BlockToml, read_block_toml
 from jaxbundle.io.fiducial_tables import with_inner_orientations
@@ -54,7 +56,7 @@ def read_block_folder(path: str | Path) -> Block:
     if noted:
         problems = weaknesses(block)
     else:
-        block, problems = with_figures(intersect(block))
+        block, problems = with_figures(with_findings(*prepared(intersect(block))))
         problems = problems or validate(block) or _wrong_elements(block, settings.datum)
     told_of(problems, block, toml, tables, noted)
     if noted:

@@ -3,7 +3,9 @@
 from pathlib import Path
 
 from jaxbundle.block.block import Block
+from jaxbundle.block.changes import with_findings
 from jaxbundle.block.problems import BlockError, Problem, shown
+from jaxbundle.diagnosis.before import prepared
 from jaxbundle.io.bal import HEAD, is_bal, read_bal
 from jaxbundle.io.block_folder import read_block_folder
 from jaxbundle.io.block_toml import FILE
@@ -19,7 +21,9 @@ def read(path: str | Path) -> Block:
     Raises: BlockError with all that is wrong, or where the path is none of them.
     """
     path = Path(path)
-    return read_block_folder(_folder_of(path)) if _is_folder(path) else read_bal(path)
+    if _is_folder(path):
+        return read_block_folder(_folder_of(path))
+    return with_findings(*prepared(read_bal(path)))
 
 
 def _is_folder(path: Path) -> bool:

@@ -112,8 +112,8 @@ def _reliability(adjustment: Adjustment) -> tuple[tuple[np.ndarray, ...], tuple[
     return found.redundancy_numbers[1:], found.w[1:]
 
 
-def figures_of(adjustment: Adjustment) -> Figures:
-    """The numbers of a concrete adjustment."""
+def figures_of(adjustment: Adjustment, found: tuple[Finding, ...] | None = None) -> Figures:
+    """The numbers of a concrete adjustment, and what was `found`; if None, it is looked for."""
     block, structure = adjustment.block, adjustment.block.structure
     to_unit = np.array([1.0] * 3 + [1 / RADIANS[structure.angle_unit]] * 3)
     is_angle = np.array([parameter.angle for parameter in structure.parameters], bool)
@@ -140,7 +140,7 @@ def figures_of(adjustment: Adjustment) -> Figures:
         normalised,
         group_tables(block, residuals[1:], normalised[1:], *_reliability(adjustment)),
         None if adjustment.redundancy_numbers is None else reliability(adjustment).w[0],
-        findings(adjustment),
+        findings(adjustment) if found is None else found,
         np.bincount(structure.ray_point, minlength=len(structure.point_names)),
         np.bincount(structure.ray_image, minlength=len(structure.image_names)),
     )

@@ -12,6 +12,7 @@ import jax
 import numpy as np
 
 from jaxbundle.block.block import Block
+from jaxbundle.block.findings import Finding
 from jaxbundle.io.tables import write_table
 from jaxbundle.report.figures import figures_of
 from jaxbundle.report.folder import DATA, TEXT, replaced, require_writable
@@ -28,8 +29,10 @@ _ROW = {"image": 700, "point": 400, "ray": 220, "other": 300}
 _TEXT = 50_000  # report.txt shows the first rows of each table only
 
 
-def write_report(adjustment: Adjustment, folder: str | Path) -> Path:
+def write_report(adjustment: Adjustment, folder: str | Path, found: tuple[Finding, ...] | None = None) -> Path:
     """Writes all results of a concrete adjustment into a folder and returns its path.
+
+    `found`: the findings, as `findings` gives them; they are looked for if None is given.
 
     Raises: FileExistsError where the folder holds files of these names that no adjustment wrote; another OSError where
     it cannot be written.
@@ -37,7 +40,7 @@ def write_report(adjustment: Adjustment, folder: str | Path) -> Path:
     robust = adjustment.reweighting is not None
     target, names = Path(folder), result_files(adjustment.block, robust)
     require_place(target, adjustment.block, robust)
-    figures = figures_of(adjustment)
+    figures = figures_of(adjustment, found)
     with replaced(target, names) as place:
         for name, table in tables_of(figures).items():
             write_table(place / name, table(figures))
@@ -77,7 +80,7 @@ def report_size(block: Block) -> int:
     return _TEXT + sum(_ROW[kind] * number for kind, number in rows.items())
 
 
-def rescue(adjustment: Adjustment) -> Path:
+def rescue(adjustment: Adjustment, found: tuple[Finding, ...] | None = None) -> Path:
     """Keeps in a new temporary folder whatever of an adjustment can be written, and returns the folder's path.
 
     That is the whole report; if something is wrong with that, all arrays in one file and the tables that can be made.
@@ -86,7 +89,7 @@ def rescue(adjustment: Adjustment) -> Path:
     """
     folder = Path(tempfile.mkdtemp(prefix="jaxbundle-results-"))
     try:
-        return write_report(adjustment, folder)
+        return write_report(adjustment, folder, found)
     except Exception:  # whatever it is, it is told elsewhere; here the numbers are kept
         leaves = jax.tree_util.tree_flatten_with_path(adjustment)[0]
         arrays = {jax.tree_util.keystr(path).lstrip("."): np.asarray(leaf) for path, leaf in leaves}
@@ -99,7 +102,7 @@ def rescue(adjustment: Adjustment) -> Path:
 def _write_possible(adjustment: Adjustment, folder: Path) -> None:
     """Those tables that can be made."""
     try:
-        figures = figures_of(adjustment)
+        figures = figures_of(adjustment, ())
         tables = tables_of(figures)
     except Exception:
         return
