@@ -1,7 +1,7 @@
 """Everything that is found about an adjustment, in the order of a report."""
 
 from jaxbundle.block.block import Block
-from jaxbundle.block.findings import Finding, Kind, Severity, in_order
+from jaxbundle.block.findings import Finding, Kind, in_order, of_kind
 from jaxbundle.diagnosis.after_failure import causes
 from jaxbundle.diagnosis.controlled import controlled_findings
 from jaxbundle.diagnosis.culprits import findings_of_suspects
@@ -13,7 +13,16 @@ from jaxbundle.solve.adjustment import Adjustment, Status
 from jaxbundle.statistics.suspects import find_suspects
 
 NO_ERRORS = 1e-6  # sigma0 of observations that have none: residuals are rounding
-NOT_A_MINIMUM = (Kind.MIRRORED, Kind.UNDETERMINED)  # what residuals tell is told of a result that could be right
+MISLEADING = (  # residuals of such a block accuse the innocent
+    Kind.FORMAT,
+    Kind.INTERIOR,
+    Kind.CONTROL_SYSTEM,
+    Kind.BEHIND,
+    Kind.MIRRORED,
+    Kind.BELOW_TERRAIN,
+    Kind.PARTS,
+    Kind.UNDETERMINED,
+)
 
 
 def findings(adjustment: Adjustment, start: Block | None = None) -> tuple[Finding, ...]:
@@ -26,8 +35,7 @@ def findings(adjustment: Adjustment, start: Block | None = None) -> tuple[Findin
     if start is not None:
         found += causes(start, adjustment)
     if adjustment.status is Status.CONVERGED:
-        misled = any(f.kind in NOT_A_MINIMUM and f.severity is Severity.FAILED for f in adjustment.findings)
-        if not misled:
+        if not of_kind(adjustment.failures, *MISLEADING):
             found += _of_residuals(adjustment)
         found += [*element_findings(adjustment), *point_findings(adjustment), *controlled_findings(adjustment)]
     if adjustment.cofactors is None:
