@@ -325,9 +325,9 @@ def test_a_large_block_is_looked_at_quickly(block):
         lambda b: (b.exterior, b.object_points, b.rays),
         large,
         (
-            jb.ExteriorOrientation(np.zeros((images, 3)), np.zeros((images, 3))),
+            jb.ExteriorOrientation(jnp.zeros((images, 3)), jnp.zeros((images, 3))),
             np.zeros((points, 3)),
-            jb.Rays(np.zeros((rays, 2)), np.ones((rays, 2))),
+            jb.Rays(jnp.zeros((rays, 2)), jnp.ones((rays, 2))),
         ),
     )
     start = time.process_time()
