@@ -67,7 +67,7 @@ def _names(s: Structure) -> Iterator[Problem]:
             continue
         if not values and table in ("images", "cameras"):
             yield Problem(f"there are no {table}", "give at least one", table)
-        names = values if kind is str else tuple(value.name for value in values)
+        names: tuple[Any, ...] = values if kind is str else tuple(getattr(value, "name", "") for value in values)
         if not all(isinstance(name, str) for name in names):
             yield Problem(f"a name among the {table} is not a string", "give names as strings", table)
             continue
@@ -386,7 +386,7 @@ def _indefinite(group: ObservationGroup) -> Sequence[int]:
     observed = group.structure.observed
     both = observed[:, :, None] & observed[:, None, :]
     matrices = np.where(both, np.asarray(group.covariances), np.eye(observed.shape[1]))
-    finite = np.isfinite(matrices).all((1, 2))
+    finite = np.asarray(np.isfinite(matrices).all((1, 2)))
     safe = np.where(finite[:, None, None], matrices, np.eye(observed.shape[1]))
     roots = np.sqrt(np.maximum(np.diagonal(safe, axis1=1, axis2=2), np.finfo(float).tiny))
     smallest = np.linalg.eigvalsh(safe / roots[:, :, None] / roots[:, None, :])[:, 0]
