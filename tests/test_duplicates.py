@@ -88,6 +88,7 @@ def test_the_same_ray_twice_is_one_of_twice_the_weight():
     factor = np.ones(len(block.structure.ray_image))
     factor[rays] = np.sqrt(1 + 1 / 1.5**2)
     heavy = adjust(eqx.tree_at(lambda b: b.rays.sigmas, block, block.rays.sigmas / factor[:, None]))
+    assert twice.cofactors is not None and heavy.cofactors is not None
     np.testing.assert_allclose(twice.block.object_points, heavy.block.object_points, atol=1e-6)
     np.testing.assert_allclose(twice.cofactors.object_points, heavy.cofactors.object_points, rtol=1e-7, atol=1e-12)
     assert twice.redundancy == heavy.redundancy + 2 * len(rays)

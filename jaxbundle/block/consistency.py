@@ -10,11 +10,13 @@ import jax.numpy as jnp
 import numpy as np
 
 from jaxbundle.block.block import Block, Camera, Datum, Parameter, Structure
-from jaxbundle.block.observations import ObservationGroup, ObservationKind, kind_defect
+from jaxbundle.block.observations import GroupStructure, ObservationGroup, ObservationKind, kind_defect
 from jaxbundle.block.problems import BlockError, Problem
 from jaxbundle.camera.model import HELD, CameraModel, model_defect
+from jaxbundle.geometry.rotation import RotationSystem
 
 DATUMS = ("control", "fixed", "minimal", "inner", "open")
+ANGLE_UNITS, IMAGE_UNITS = ("deg", "gon", "rad"), ("px", "mm")
 ENTITIES = ("image", "point", "camera", "parameter")
 NUMBERS = {
     "integer": (np.integer, "integers"),
@@ -35,9 +37,9 @@ def inconsistencies(block: Block) -> list[Problem]:
     structure = block.structure
     if not isinstance(structure, Structure):
         return [Problem(f"the structure is {_type(structure)}, not a Structure", "build a jb.Structure")]
-    names = [*_names(structure)]
+    names = [*_names(structure)] or [*_descriptions(structure)] or [*_models(structure)]
     if names:
-        return names  # without names there are no counts
+        return names  # without names and models there are no counts
     found = [*_incidences(structure), *_masks(structure)]
     found += [*_values(block), *_groups(block)]
     return found or [*_interior(block), *_datum(structure)]
@@ -63,7 +65,12 @@ def _names(s: Structure) -> Iterator[Problem]:
         if not isinstance(values, tuple) or not all(isinstance(value, kind) for value in values):
             yield Problem(f"the {table} are {_type(values)}", f"give a tuple of {kind.__name__}", table)
             continue
-        names = values if kind is str else tuple(value.name for value in values)
+        if not values and table in ("images", "cameras"):
+            yield Problem(f"there are no {table}", "give at least one", table)
+        names: tuple[Any, ...] = values if kind is str else tuple(getattr(value, "name", "") for value in values)
+        if not all(isinstance(name, str) for name in names):
+            yield Problem(f"a name among the {table} is not a string", "give names as strings", table)
+            continue
         if len(set(names)) < len(names):
             seen: set[str] = set()
             twice = next(name for name in names if name in seen or seen.add(name))
@@ -73,9 +80,31 @@ def _names(s: Structure) -> Iterator[Problem]:
                 "give every one a name of its own",
                 table,
             )
-    for table, values in (("images", s.image_names), ("cameras", s.cameras)):
-        if len(values) == 0:
-            yield Problem(f"there are no {table}", "give at least one", table)
+
+
+def _descriptions(s: Structure) -> Iterator[Problem]:
+    """What describes the block and its cameras in words."""
+    for what, value, allowed in (
+        ("angle_unit", s.angle_unit, ANGLE_UNITS),
+        *((f"image_unit of camera {camera.name}", camera.image_unit, IMAGE_UNITS) for camera in s.cameras),
+    ):
+        if not isinstance(value, str) or value not in allowed:
+            given = repr(value) if isinstance(value, str) else _type(value)
+            yield Problem(f"{what} is {given}", f"give one of {', '.join(allowed)}")
+    for what, value, kind in (
+        ("name", s.name, str),
+        ("object_unit", s.object_unit, str),
+        ("rotation_system", s.rotation_system, RotationSystem),
+        ("datum", s.datum, Datum),
+        ("findings", s.findings, tuple),
+        ("inner_orientations", s.inner_orientations, tuple),
+        *((f"width of camera {camera.name}", camera.width, int | None) for camera in s.cameras),
+        *((f"height of camera {camera.name}", camera.height, int | None) for camera in s.cameras),
+        *((f"metric of camera {camera.name}", camera.metric, bool) for camera in s.cameras),
+    ):
+        if not isinstance(value, kind):
+            wanted = getattr(kind, "__name__", "number of px, or None")
+            yield Problem(f"{what} is {_type(value)}", f"give a {wanted}")
 
 
 def _array_problem(what: str, value: Any, shape: tuple[int, ...], wanted: str, axes: str) -> Problem | None:
@@ -135,10 +164,8 @@ def _incidences(s: Structure) -> Iterator[Problem]:
 
 def _masks(s: Structure) -> Iterator[Problem]:
     """What is unknown."""
-    elements = max((len(camera.model.elements) for camera in s.cameras if _is_model(camera)), default=0)
-    yield from (_model_problem(camera) for camera in s.cameras if _model_problem(camera))
-    width = getattr(s.interior_free, "shape", (0, elements))[-1:]
-    columns = max(elements, *width) if width else elements
+    elements = max(len(camera.model.elements) for camera in s.cameras)
+    columns = max(elements, _columns(s.interior_free))
     for what, value, shape, axes in (
         ("exterior_free", s.exterior_free, (len(s.image_names), 6), "one row for each image"),
         ("point_free", s.point_free, (len(s.point_names), 3), "one row for each point"),
@@ -154,8 +181,6 @@ def _masks(s: Structure) -> Iterator[Problem]:
 def _held_elements(s: Structure) -> Iterator[Problem]:
     """Interior elements that are unknown although the camera has none there, or that define its unit."""
     for row, (camera, free) in enumerate(zip(s.cameras, s.interior_free, strict=True)):
-        if not _is_model(camera):
-            continue
         elements = camera.model.elements
         beyond = [f"number {k + 1}" for k in np.flatnonzero(free) if k >= len(elements)]
         held = [name for name, unknown in zip(elements, free, strict=False) if unknown and name in HELD]
@@ -168,13 +193,21 @@ def _held_elements(s: Structure) -> Iterator[Problem]:
             )
 
 
-def _is_model(camera: Camera) -> bool:
-    return isinstance(camera.model, CameraModel)
+def _columns(mask: Any) -> int:
+    """Columns of a matrix; 0 of what is none."""
+    shape = getattr(mask, "shape", ())
+    return shape[1] if len(shape) == 2 else 0
+
+
+def _models(s: Structure) -> Iterator[Problem]:
+    """The cameras' models, each once."""
+    wrong = {id(camera.model): _model_problem(camera) for camera in s.cameras}
+    yield from (problem for problem in wrong.values() if problem)
 
 
 def _model_problem(camera: Camera) -> Problem | None:
     """What is wrong with a camera's model."""
-    if not _is_model(camera):
+    if not isinstance(camera.model, CameraModel):
         return Problem(
             f"the model of camera {camera.name} is {_type(camera.model)}, not a CameraModel",
             'take one of jb.CAMERA_MODELS, as jb.CAMERA_MODELS["brown"], or build a jb.CameraModel',
@@ -184,7 +217,7 @@ def _model_problem(camera: Camera) -> Problem | None:
     if not wrong:
         return None
     return Problem(
-        f"the camera model {camera.model.name!r} of camera {camera.name} {wrong}",
+        f"the camera model {str(camera.model.name)[:40]!r} of camera {camera.name} {wrong}",
         "write residual(interior, photo_vector, measured) -> (v_x, v_y) of scalars with jax.numpy",
         "cameras",
     )
@@ -194,7 +227,7 @@ def _values(block: Block) -> Iterator[Problem]:
     """The arrays of values, against the counts of the structure."""
     s, n = block.structure, _counts(block.structure)
     rays, check = len(np.atleast_1d(s.ray_image)), len(np.atleast_1d(s.check_point))
-    width = getattr(s.interior_free, "shape", (0, 0))[-1]
+    width = _columns(s.interior_free)
     for what, path, shape, axes in (
         ("exterior.projection_centre", ("exterior", "projection_centre"), (n["image"], 3), "one row for each image"),
         ("exterior.angles", ("exterior", "angles"), (n["image"], 3), "one row for each image"),
@@ -222,6 +255,8 @@ def _groups(block: Block) -> Iterator[Problem]:
     for number, group in enumerate(block.groups):
         if not isinstance(group, ObservationGroup):
             yield Problem(f"group {number} is {_type(group)}", "build it with jb.observation_group(...)")
+        elif not isinstance(group.structure, GroupStructure):
+            yield Problem(f"the structure of group {number} is {_type(group.structure)}", "give a GroupStructure")
         elif not isinstance(group.structure.kind, ObservationKind):
             yield Problem(
                 f"the kind of group {number} is {_type(group.structure.kind)}",
@@ -235,6 +270,13 @@ def _groups(block: Block) -> Iterator[Problem]:
 def _group_arrays(s: Structure, group: ObservationGroup) -> Iterator[Problem]:
     """Shapes and indices of one group."""
     kind, indices = group.structure.kind, group.structure.indices
+    texts = kind.components, kind.touches, kind.constants
+    if not isinstance(kind.name, str) or not all(_are_names(names) for names in texts):
+        yield Problem(
+            "a kind of observation has a name, components, touches or constants of a wrong type",
+            "give a string as its name, and tuples of strings as components, touches and constants",
+        )
+        return
     unknown = [touched for touched in kind.touches if touched not in ENTITIES]
     if unknown:
         yield Problem(
@@ -262,10 +304,14 @@ def _group_arrays(s: Structure, group: ObservationGroup) -> Iterator[Problem]:
             yield from _index_problems(f"row {{}} of {kind.name}", at, _counts(s)[entity], kind.name, entity)
 
 
+def _are_names(names: Any) -> bool:
+    return isinstance(names, tuple) and all(isinstance(name, str) for name in names)
+
+
 def _kind_problems(s: Structure, group: ObservationGroup) -> Iterator[Problem]:
     """The function of a kind, with as many interior elements as a touched camera has."""
     kind = group.structure.kind
-    wrong = kind_defect(kind, len(s.model.elements) if not list(filter(None, map(_model_problem, s.cameras))) else 0)
+    wrong = kind_defect(kind, len(s.model.elements))
     if wrong:
         takes = ", ".join([*kind.touches, "observed", *(["constants"] if kind.constants else [])])
         yield Problem(
@@ -291,9 +337,16 @@ def _interior(block: Block) -> Iterator[Problem]:
 
 def _datum(s: Structure) -> Iterator[Problem]:
     """The datum and what it names."""
-    if not isinstance(s.datum, Datum) or s.datum.kind not in DATUMS:
-        given = s.datum.kind if isinstance(s.datum, Datum) else s.datum
-        yield Problem(f"there is no datum {given!r}", f"take one of {', '.join(DATUMS)}", "datum")
+    kind, held, points = s.datum.kind, s.datum.held, s.datum.points
+    if not isinstance(kind, str) or kind not in DATUMS:
+        given = repr(kind) if isinstance(kind, str) else _type(kind)
+        yield Problem(f"the kind of datum is {given}", f"take one of {', '.join(DATUMS)}", "datum")
+        return
+    if not isinstance(s.datum.constraints, int) or not isinstance(points, tuple) or not isinstance(held, tuple):
+        yield Problem("the datum has parts of a wrong type", "give tuples of names, and an integer", "datum")
+        return
+    if not all(isinstance(pair, tuple) and len(pair) == 2 for pair in held):
+        yield Problem("what the datum holds is no pair", 'give pairs of names, as ("image", "X0")', "datum")
         return
     yield from _unknown("point", s.datum.points, s.point_names)
     yield from _unknown("image", [image for image, _ in s.datum.held], s.image_names)
@@ -302,7 +355,7 @@ def _datum(s: Structure) -> Iterator[Problem]:
 
 def _unknown(what: str, names: Sequence[str], there: Sequence[str]) -> Iterator[Problem]:
     """Names of the datum that the block does not have."""
-    missing = sorted(set(names) - set(there)) if names else []
+    missing = [name for name in names if name not in there] if names else []
     if missing:
         more = f" and {len(missing) - 1} more" if len(missing) > 1 else ""
         yield Problem(f"the datum names {what} {missing[0]!r}{more}, which the block does not have", "drop it", "datum")
@@ -333,7 +386,7 @@ def _indefinite(group: ObservationGroup) -> Sequence[int]:
     observed = group.structure.observed
     both = observed[:, :, None] & observed[:, None, :]
     matrices = np.where(both, np.asarray(group.covariances), np.eye(observed.shape[1]))
-    finite = np.isfinite(matrices).all((1, 2))
+    finite = np.asarray(np.isfinite(matrices).all((1, 2)))
     safe = np.where(finite[:, None, None], matrices, np.eye(observed.shape[1]))
     roots = np.sqrt(np.maximum(np.diagonal(safe, axis1=1, axis2=2), np.finfo(float).tiny))
     smallest = np.linalg.eigvalsh(safe / roots[:, :, None] / roots[:, None, :])[:, 0]

@@ -33,7 +33,9 @@ def unusable_models(block: Block) -> list[Problem]:
         if len(rays) == 0:
             continue
         image, model = s.ray_image[rays], s.cameras[k].model
-        vector = photo_vector(tuple(rotation[:, image]), tuple(centre[:, image]), tuple(points[:, s.ray_point[rays]]))
+        vector: Any = photo_vector(
+            tuple(rotation[:, image]), tuple(centre[:, image]), tuple(points[:, s.ray_point[rays]])
+        )
         elements = np.asarray(block.interior.elements)[k, : len(model.elements)]
         measured = np.asarray(block.rays.coordinates)[rays].T
         numbers = np.concatenate([np.broadcast_to(elements[:, None], (len(elements), len(rays))), vector, measured])

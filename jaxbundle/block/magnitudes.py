@@ -5,6 +5,7 @@ not defined. Each table is told once, with its first row and the number of all.
 """
 
 from collections.abc import Iterator
+from typing import Any
 
 import numpy as np
 from jaxtyping import Bool, Float
@@ -46,7 +47,7 @@ def _out_of_range(block: Block) -> Iterator[Problem]:
         ("rays", "image coordinate", block.rays.coordinates),
         ("check_points", "coordinate", block.check_points.coordinates),
     ]
-    sigmas = [("rays", block.rays.sigmas)]
+    sigmas: list[tuple[str, Any]] = [("rays", block.rays.sigmas)]
     for group in block.groups:
         kind = group.structure.kind
         tables += [(kind.name, "observed value", group.values), (kind.name, "constant", group.constants)]
@@ -57,14 +58,16 @@ def _out_of_range(block: Block) -> Iterator[Problem]:
         if rows.any():
             row = int(np.argmax(rows))
             what = f"the {name} {np.asarray(values)[row][size[row] > LARGEST][0]:.3g} is beyond {LARGEST:.0e}"
-            yield from _told(rows, table, what, f"correct it: in {s.object_unit} or px no survey reaches so far")
+            yield from _told(
+                np.asarray(rows), table, what, f"correct it: in {s.object_unit} or px no survey reaches so far"
+            )
     for table, values in sigmas:
         values = np.asarray(values, float)
         out = (values < SMALLEST) | (values > LARGEST)
         if out.any():
             what = f"the standard deviation {values[out][0]:.3g} lies outside {SMALLEST:.0e} to {LARGEST:.0e}"
             cure = "give the accuracy of the measurement; hold a value that is free of error instead"
-            yield from _told(out.any(1), table, what, cure)
+            yield from _told(np.asarray(out.any(1)), table, what, cure)
 
 
 def _variances(group: ObservationGroup) -> Float[np.ndarray, "member component"]:
@@ -86,7 +89,9 @@ def _turned(block: Block) -> Iterator[Problem]:
             what = (
                 f"the angle {angles[out][0] * UNITS.get(unit, 1.0):.10g} {unit} makes more than {MAX_TURNS} full turns"
             )
-            yield from _told(out.any(1), table, what, f"give it within one full turn, and check that it is in {unit}")
+            yield from _told(
+                np.asarray(out.any(1)), table, what, f"give it within one full turn, and check that it is in {unit}"
+            )
 
 
 def _without_length(block: Block) -> Iterator[Problem]:

@@ -50,6 +50,8 @@ class CameraModel:
 def model_defect(model: CameraModel) -> str:
     """What keeps a camera model from being one, as the end of a sentence; "" if nothing. A model is tried once."""
     elements = model.elements
+    if not isinstance(model.name, str):
+        return f"has a name of type {type(model.name).__name__}, not a string"
     if not isinstance(elements, tuple) or not all(isinstance(name, str) for name in elements):
         return f"has elements of type {type(elements).__name__}, not a tuple of names"
     if len(set(elements)) < len(elements):

@@ -46,8 +46,9 @@ def _returned_defect(returned: Any, count: int) -> str:
         return f"returns {what}, not {count} residuals in a tuple"
     if len(returned) != count:
         return f"returns {len(returned)} values, not {count} residuals"
+    value: Any
     for value in returned:
-        if isinstance(value, float | int) and not isinstance(value, bool):
+        if type(value) in (float, int):
             continue
         if not hasattr(value, "shape") or not hasattr(value, "dtype"):
             return f"returns {type(value).__name__} among its residuals, not numbers"
