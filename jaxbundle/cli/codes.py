@@ -58,7 +58,8 @@ def unexpected(error: Exception) -> str:
     except OSError:
         sys.stderr.write(text)
         where = "the traceback above"
-    return f"an error of the program ({type(error).__name__}: {_first_line(error)}); please report it together with {where}"
+    what = f"{type(error).__name__}: {_first_line(error)}"
+    return f"an error of the program ({what}); please report it together with {where}"
 
 
 def _first_line(error: Exception) -> str:

@@ -39,12 +39,13 @@ def write_report(adjustment: Adjustment, folder: str | Path) -> Path:
     robust = adjustment.reweighting is not None
     target, names = Path(folder), result_files(adjustment.block, robust)
     require_place(target, adjustment.block, robust)
-    figures = figures_of(adjustment)
-    with replaced(target, names) as place:
-        for name, table in tables_of(figures).items():
-            write_table(place / name, table(figures))
-        (place / DATA).write_text(_json({**dict_of(figures), "files": names}), encoding="utf-8")
-        (place / TEXT).write_text(text_of(figures), encoding="utf-8")
+    with np.errstate(all="ignore"):  # what overflows or is not known is empty in the tables
+        figures = figures_of(adjustment)
+        with replaced(target, names) as place:
+            for name, table in tables_of(figures).items():
+                write_table(place / name, table(figures))
+            (place / DATA).write_text(_json({**dict_of(figures), "files": names}), encoding="utf-8")
+            (place / TEXT).write_text(text_of(figures), encoding="utf-8")
     return target
 
 
