@@ -156,5 +156,13 @@ def test_nothing_is_left_where_a_checkpoint_cannot_be_written(tmp_path: Path, mo
     assert len(list(tmp_path.iterdir())) == 2
 
 
+def test_what_a_killed_process_left_is_removed(tmp_path: Path, monkeypatch) -> None:
+    left = tmp_path / whole_files.marked_name()
+    left.write_text("half a checkpoint")
+    monkeypatch.setattr(whole_files, "_start", lambda process: 1)  # the process of that number is another one by now
+    save(tmp_path / "state", "mark", *FINISHED)
+    assert [path.name for path in tmp_path.iterdir()] == ["state"]
+
+
 def full(_: int) -> None:
     raise OSError(28, "No space left on device")

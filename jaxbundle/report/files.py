@@ -92,7 +92,7 @@ def rescue(adjustment: Adjustment) -> Path:
         return write_report(adjustment, folder)
     except Exception:  # whatever it is, it is told elsewhere; here the numbers are kept
         leaves = jax.tree_util.tree_flatten_with_path(adjustment)[0]
-        arrays = {jax.tree_util.keystr(path).lstrip("."): np.asarray(leaf) for path, leaf in leaves}
+        arrays: dict[str, Any] = {jax.tree_util.keystr(path).lstrip("."): np.asarray(leaf) for path, leaf in leaves}
         with (folder / ARRAYS).open("wb") as file:
             np.savez(file, **arrays)
     _write_possible(adjustment, folder)
