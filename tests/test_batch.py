@@ -130,3 +130,15 @@ def test_observations_of_one_block_go_through_vmap(blocks):
 
 def test_no_block():
     assert adjust_many([]).table() == [] and adjust_many([]).trustworthy
+
+
+def test_an_interruption_before_an_accepted_step_ends_the_batch(blocks, batch, monkeypatch):
+    done = iter([batch.adjustments[0]])
+
+    def one_only(block, **options):
+        for adjustment in done:
+            return adjustment
+        raise KeyboardInterrupt
+
+    monkeypatch.setattr(module, "adjust", one_only)
+    assert [outcome.name for outcome in adjust_many(blocks).outcomes] == ["one"]

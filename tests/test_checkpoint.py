@@ -1,6 +1,7 @@
 """A solve that is interrupted goes on from its checkpoint to the same result."""
 
 from pathlib import Path
+from typing import Any
 
 import jax
 import jax.numpy as jnp
@@ -89,27 +90,32 @@ def test_an_interrupted_robust_adjustment_ends() -> None:
             raise KeyboardInterrupt
 
     stopped = adjust(small_block().block, robust=Huber(), progress=interrupt)
-    assert stopped.status is Status.INTERRUPTED and not stopped.reweighting.settled
+    assert stopped.status is Status.INTERRUPTED
+    assert stopped.reweighting is not None and not stopped.reweighting.settled
     assert len(calls) <= 10
 
 
-STATE = {"unknowns": jnp.arange(3.0), "names": jnp.ones((2, 2))}, {"status": jnp.array(0), "cost": jnp.array(jnp.nan)}
-FINISHED = (
-    {"unknowns": jnp.arange(3.0) + 1, "names": jnp.ones((2, 2))},
-    {"status": jnp.array(1), "cost": jnp.array(2.0)},
-)
+def solve_of(values: float, status: int, cost: float) -> tuple[Any, Any]:
+    """Unknowns and a state of a solve, as a checkpoint keeps them."""
+    unknowns = {"points": jnp.arange(3.0) + values, "rotation": jnp.ones((2, 2))}
+    return unknowns, {"status": jnp.array(status), "cost": jnp.array(cost)}
+
+
+STATE, FINISHED = solve_of(0.0, 0, jnp.nan), solve_of(1.0, 1, 2.0)
 
 
 def foreign(path: Path, arrays: dict[str, list]) -> None:
     with path.open("wb") as file:
-        np.savez(file, fingerprint=np.array("mark"), **{name: np.array(array) for name, array in arrays.items()})
+        given: dict[str, Any] = {name: np.array(array) for name, array in arrays.items()}
+        np.savez(file, fingerprint=np.array("mark"), **given)
 
 
 def test_what_a_file_holds_is_looked_at(tmp_path: Path) -> None:
     file = tmp_path / "state"
     save(file, "mark", *FINISHED)
-    unknowns, state = load(file, "mark", *STATE)
-    np.testing.assert_array_equal(unknowns["unknowns"], [1, 2, 3])
+    found: Any = load(file, "mark", *STATE)
+    unknowns, state = found
+    np.testing.assert_array_equal(unknowns["points"], [1, 2, 3])
     assert float(state["cost"]) == 2.0
     broken = {
         "float64 of shape \\(2,\\) in place of float64 of shape \\(3,\\)": jnp.ones(2),
@@ -118,7 +124,8 @@ def test_what_a_file_holds_is_looked_at(tmp_path: Path) -> None:
         "damaged": jnp.ones(100_000),
     }
     for words, leaf in broken.items():
-        save(file, "mark", {**FINISHED[0], "unknowns": leaf}, FINISHED[1])
+        spoilt: Any = {**FINISHED[0], "points": leaf}
+        save(file, "mark", spoilt, FINISHED[1])
         with pytest.raises(CheckpointError, match=words):
             load(file, "mark", *STATE)
     foreign(file, {f"leaf {k}": ["text"] for k in range(4)})
@@ -154,6 +161,14 @@ def test_nothing_is_left_where_a_checkpoint_cannot_be_written(tmp_path: Path, mo
         save(tmp_path / "state", "mark", *FINISHED)
     assert not (tmp_path / "elsewhere").exists() and not (tmp_path / "state").exists()
     assert len(list(tmp_path.iterdir())) == 2
+
+
+def test_what_a_killed_process_left_is_removed(tmp_path: Path, monkeypatch) -> None:
+    left = tmp_path / whole_files.marked_name()
+    left.write_text("half a checkpoint")
+    monkeypatch.setattr(whole_files, "_start", lambda process: 1)  # the process of that number is another one by now
+    save(tmp_path / "state", "mark", *FINISHED)
+    assert [path.name for path in tmp_path.iterdir()] == ["state"]
 
 
 def full(_: int) -> None:

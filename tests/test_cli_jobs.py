@@ -130,7 +130,7 @@ def test_interrupted_block_ends_those_after_it(run, blocks, monkeypatch):
     stopped = eqx.tree_at(
         lambda a: a.iterations.status, adjustment, adjustment.iterations.status * 0 + Status.INTERRUPTED
     )
-    monkeypatch.setattr(several, "adjust_path", lambda *_: Outcome(stopped, None, Code.NOT_TRUSTED))
+    monkeypatch.setattr(several, "adjust_path", lambda *_: Outcome(stopped, (), None, Code.NOT_TRUSTED))
     code, _, _ = run("a/strip", "b/strip", "--out", "interrupted")
     table = rows(blocks / "interrupted")
     assert code == 130 and [row["status"] for row in table.values()] == ["interrupted", "not adjusted"]

@@ -14,7 +14,9 @@ import typer
 from distributed_worker import SOLVERS, found
 from simulated import long_block, small_block
 
-from jaxbundle.cli.cluster import cluster_of
+from jaxbundle.cli import runtime
+from jaxbundle.cli.cluster import Cluster, cluster_of
+from jaxbundle.cli.codes import Code, LostProcess, told
 from jaxbundle.io import write_block_folder
 from jaxbundle.solve.adjust import adjust
 
@@ -123,6 +125,43 @@ def test_a_cluster_that_does_not_meet(tmp_path: Path) -> None:
     ((code, output),) = together([[*command, "--process", "1"]])
     assert code == 2
     assert "process 1 of 2 did not meet all others" in output
+
+
+LOST = """
+import os, time
+from jaxbundle.cli.last_words import in_a_sentence
+end = in_a_sentence()
+os.write(2, b"said before\\nE1126 16:21:31 17692 coordination_service_agent.cc:289] Polled an error\\n")
+os.write(2, b"F1126 client.h:80] Terminating process because the JAX distributed service detected fatal errors.\\n")
+time.sleep(60)
+"""
+WELL = LOST.partition('os.write(2, b"F')[0] + "end(); os.write(2, b'said after\\n')"
+
+
+@pytest.mark.parametrize(
+    ("script", "code", "words"),
+    [
+        (LOST, 2, "said before\njaxbundle: another process of the cluster was lost, or process 0, the coordinator;"),
+        (WELL, 0, "said before\nsaid after\n"),
+    ],
+)
+def test_the_end_of_a_lost_cluster_is_a_sentence(script: str, code: int, words: str) -> None:
+    environment = {**os.environ, "PYTHONPATH": str(ROOT)}
+    done = subprocess.run([sys.executable, "-c", script], env=environment, capture_output=True, text=True, timeout=50)
+    assert done.returncode == code and done.stderr.startswith(words)
+    assert done.stderr.count("\n") == 2
+
+
+def test_processes_that_were_told_another_number_say_so() -> None:
+    runtime._require_count(Cluster("10.0.0.1:4000", 1, 0))
+    with pytest.raises(typer.BadParameter, match="--processes 3 here, but process 0 was told 1; give all the same"):
+        runtime._require_count(Cluster("10.0.0.1:4000", 3, 1))
+
+
+def test_a_lost_process_is_bad_input_not_an_error_of_the_program() -> None:
+    code, words = told(LostProcess(RuntimeError("Connection closed by peer\nmore")))
+    assert code is Code.BAD_INPUT
+    assert "was lost (Connection closed by peer); see what it said, and start all of them again" in words
 
 
 @pytest.mark.parametrize(

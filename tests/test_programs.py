@@ -103,7 +103,7 @@ def test_only_what_the_user_alone_may_write_is_read(folder, monkeypatch):
 @posix
 def test_private_folders(tmp_path, monkeypatch):
     made = private_folder(tmp_path / "a" / "b")
-    assert made == tmp_path / "a" / "b"
+    assert made is not None and made == tmp_path / "a" / "b"
     assert made.stat().st_mode & 0o777 == made.parent.stat().st_mode & 0o777 == 0o700
     made.chmod(0o770)
     assert private_folder(made) is None

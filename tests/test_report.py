@@ -5,6 +5,7 @@ import json
 import math
 
 import equinox as eqx
+import jax
 import jax.numpy as jnp
 import numpy as np
 import polars as pl
@@ -13,7 +14,9 @@ from simulated import small_block
 
 from jaxbundle.report import files, report_dict, report_text, write_report
 from jaxbundle.report.columns import WIDTH, aligned, decimals, short, table
+from jaxbundle.report.tables import finite
 from jaxbundle.solve.adjust import adjust
+from jaxbundle.solve.adjustment import Status
 
 
 @pytest.fixture(scope="module")
@@ -104,6 +107,41 @@ def test_what_is_not_finite_is_null(adjustment):
 
 def test_is_ready_for_json(report):
     assert json.loads(files._json(report)) == json.loads(json.dumps(report, allow_nan=False))
+
+
+def test_json_holds_what_json_can_hold():
+    odd = {
+        "nan": math.nan,
+        "numbers": [1, 2.5, math.inf, np.float64(-math.inf), np.int32(3), np.bool_(True), None],
+        3: np.array([[1.0, np.nan]]),
+        "images": {"a": {"X": (1.0, math.nan)}},
+        "status": Status.CONVERGED,
+    }
+    assert json.loads(files._json(finite(odd)), parse_constant=pytest.fail) == {
+        "nan": None,
+        "numbers": [1, 2.5, None, None, 3, True, None],
+        "3": [[1.0, None]],
+        "images": {"a": {"X": [1.0, None]}},
+        "status": 1,
+    }
+
+
+@pytest.mark.parametrize(
+    ("value", "status"), [(math.nan, Status.STALLED), (math.inf, Status.SINGULAR), (1e300, Status.DIVERGED)]
+)
+def test_a_report_is_written_whatever_the_numbers(adjustment, tmp_path, value, status):
+    def spoilt(leaf):
+        return leaf * 0 + value if jnp.issubdtype(jnp.asarray(leaf).dtype, jnp.floating) else leaf
+
+    ended = dataclasses.replace(adjustment, iterations=adjustment.iterations._replace(status=jnp.asarray(int(status))))
+    folder = write_report(jax.tree.map(spoilt, ended), tmp_path / "results")
+    report = json.loads((folder / "report.json").read_text(), parse_constant=pytest.fail)
+    assert report["status"] == status.name.lower().replace("_", " ")
+
+
+def test_size_of_a_report_is_estimated(adjustment, tmp_path):
+    size = sum(path.stat().st_size for path in write_report(adjustment, tmp_path / "results").iterdir())
+    assert size < files.report_size(adjustment.block) < 3 * size + 50_000
 
 
 # The text

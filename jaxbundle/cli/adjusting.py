@@ -12,7 +12,7 @@ from jaxbundle.block.block import Block
 from jaxbundle.block.changes import with_interior_held
 from jaxbundle.block.findings import Finding
 from jaxbundle.block.problems import BlockError
-from jaxbundle.cli.codes import Code, LostProcess, told
+from jaxbundle.cli.codes import BadInput, Code, LostProcess, told
 from jaxbundle.cli.interruption import Interruption
 from jaxbundle.cli.progress import COMPILING, ProgressLines
 from jaxbundle.cli.runtime import finished
@@ -140,8 +140,10 @@ def _adjusted(
             robust=wanted.robust,
             progress=progress,
         )
-    except (CheckpointError, ClusterError) as error:
+    except CheckpointError as error:
         raise typer.BadParameter(str(error)) from error
+    except ClusterError as error:
+        raise BadInput(str(error)) from error
     except ValueError as error:
         if isinstance(error, BlockError) or wanted.engine == "block":
             raise

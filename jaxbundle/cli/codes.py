@@ -26,6 +26,10 @@ class Code(IntEnum):
     INTERRUPTED = 130  # as shells have it for Ctrl-C
 
 
+class BadInput(ValueError):
+    """What is given cannot be adjusted, told in a sentence."""
+
+
 class LostProcess(RuntimeError):
     """Another process of the cluster has ended; `error` is what JAX says of it."""
 
@@ -38,7 +42,7 @@ class LostProcess(RuntimeError):
 
 def told(error: Exception) -> tuple[Code, str]:
     """The exit code of an error, and the sentence that tells of it."""
-    if isinstance(error, BlockError | OSError | LostProcess):
+    if isinstance(error, BlockError | OSError | BadInput | LostProcess):
         return Code.BAD_INPUT, str(error)
     if isinstance(error, MemoryError) or _NO_MEMORY in str(error):
         return Code.UNEXPECTED, _LESS_MEMORY
@@ -58,8 +62,8 @@ def unexpected(error: Exception) -> str:
     except OSError:
         sys.stderr.write(text)
         where = "the traceback above"
-    name = type(error).__name__
-    return f"an error of the program ({name}: {_first_line(error)}); please report it together with {where}"
+    what = f"{type(error).__name__}: {_first_line(error)}"
+    return f"an error of the program ({what}); please report it together with {where}"
 
 
 def _first_line(error: Exception) -> str:

@@ -40,12 +40,13 @@ def write_report(adjustment: Adjustment, folder: str | Path, found: tuple[Findin
     robust = adjustment.reweighting is not None
     target, names = Path(folder), result_files(adjustment.block, robust)
     require_place(target, adjustment.block, robust)
-    figures = figures_of(adjustment, found)
-    with replaced(target, names) as place:
-        for name, table in tables_of(figures).items():
-            write_table(place / name, table(figures))
-        (place / DATA).write_text(_json({**dict_of(figures), "files": names}), encoding="utf-8")
-        (place / TEXT).write_text(text_of(figures), encoding="utf-8")
+    with np.errstate(all="ignore"):  # what overflows or is not known is empty in the tables
+        figures = figures_of(adjustment, found)
+        with replaced(target, names) as place:
+            for name, table in tables_of(figures).items():
+                write_table(place / name, table(figures))
+            (place / DATA).write_text(_json({**dict_of(figures), "files": names}), encoding="utf-8")
+            (place / TEXT).write_text(text_of(figures), encoding="utf-8")
     return target
 
 
@@ -92,7 +93,7 @@ def rescue(adjustment: Adjustment, found: tuple[Finding, ...] | None = None) -> 
         return write_report(adjustment, folder, found)
     except Exception:  # whatever it is, it is told elsewhere; here the numbers are kept
         leaves = jax.tree_util.tree_flatten_with_path(adjustment)[0]
-        arrays = {jax.tree_util.keystr(path).lstrip("."): np.asarray(leaf) for path, leaf in leaves}
+        arrays: dict[str, Any] = {jax.tree_util.keystr(path).lstrip("."): np.asarray(leaf) for path, leaf in leaves}
         with (folder / ARRAYS).open("wb") as file:
             np.savez(file, **arrays)
     _write_possible(adjustment, folder)
