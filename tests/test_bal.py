@@ -138,6 +138,13 @@ def test_other_cameras_are_not_written(tmp_path: Path) -> None:
         ("-0.2\n", "nan\n", "12: 'nan' is not a finite number; correct it"),
         ("1 0     -3", "2 0     -3", "3: there is no camera 2: the file has 2, numbered from 0; correct the number"),
         ("1 1 5", "1 -1 5", "5: there is no point -1: the file has 2, numbered from 0; correct the number"),
+        ("1400 1e-3", "0 1e-3", "9: 0 is not from 1e-06 to 1e+09 in size, as f is; correct it, or take the file from"),
+        (
+            "1e-2 2e-2",
+            "1e308 2e-2",
+            "7: 1e+308 is not from 0 to 628.319 in size, as a rotation vector, rad is; correct",
+        ),
+        ("1 2 -30", "1e99 2e99 -30", "19: 1e+99 is not from 0 to 1e+12 in size, as a coordinate is, and 1 more number"),
         ("1 1 5", "0.5 1 5", "5: there is no camera 0.5: the file has 2, numbered from 0; correct the number"),
     ],
 )

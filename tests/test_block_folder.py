@@ -20,6 +20,7 @@ from folders import (
 
 from jaxbundle.block.block import Block, Datum
 from jaxbundle.block.datum import with_datum
+from jaxbundle.block.findings import Kind, Severity
 from jaxbundle.block.geodetic import DISTANCES
 from jaxbundle.block.observations import CONTROL, STATIONS, ObservationKind, observation_group
 from jaxbundle.block.problems import BlockError
@@ -254,6 +255,41 @@ def test_what_takes_no_part_is_noted(small: Path) -> None:
         "camera second one has no image and takes no part",
         "distances.csv is not named in [tables] of block.toml and takes no part",
     )
+
+
+@pytest.mark.parametrize(
+    ("rows", "columns"),
+    [("011,1,2,3,,,", "sX, sY, sZ"), ("011,,,,0.1,0.1,0.1\n012,,,,0.1,0.1,0.1", "sX, sY, sZ")],
+)
+def test_stations_that_are_not_used_fail(small: Path, rows: str, columns: str) -> None:
+    append(small, "block.toml", 'stations = "stations.csv"')
+    write(small, "stations.csv", "image,X,Y,Z,sX,sY,sZ", rows.split("\n"))
+    (finding,) = read_block_folder(small).structure.findings
+    assert (finding.kind, finding.severity) == (Kind.NOT_USED, Severity.FAILED)
+    assert [subject.names[0] for subject in finding.subjects] == [row[:3] for row in rows.split("\n")]
+    assert columns in finding.what and columns in finding.cure
+
+
+def test_tables_that_are_not_named(small: Path) -> None:
+    """Stations beside control in use are to be checked; control that alone would carry the datum fails."""
+    write(small, "stations.csv", "image,X,Y,Z,sX,sY,sZ", ["011,1,2,3,1,1,1"])
+    (finding,) = read_block_folder(small).structure.findings
+    assert (finding.kind, finding.severity) == (Kind.UNUSED, Severity.CHECK)
+    change(small, "block.toml", 29, 'control = "control.csv"', "")
+    control, stations = read_block_folder(small).structure.findings
+    assert control.kind == stations.kind == Kind.NOT_USED
+    assert control.subjects[0].table == "control" and stations.subjects[0].table == "stations"
+    assert control.cure == 'add control = "control.csv" there'
+
+
+def test_weak_points_are_one_line(small: Path) -> None:
+    rows = (small / "rays.csv").read_text().splitlines()
+    write(small, "rays.csv", rows[0], [row for row in rows[1:] if row[:3] == "011" or row.split(",")[1] < "106"])
+    with pytest.raises(BlockError) as caught:
+        read_block_folder(small)
+    (points,) = caught.value.problems
+    assert points.count == 7
+    assert points.what == "point 106 is seen on one image only; likewise 107, 108, 109, 110, 111, 112"
 
 
 def test_forms_of_csv(small: Path) -> None:

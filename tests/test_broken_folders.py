@@ -273,7 +273,7 @@ CASES: dict[str, tuple[Edit, str]] = {
     ),
     "unknown held image": (
         added("block.toml", '[datum]\ntype = "fixed"\nhold = { "012" = ["X0"], "013" = ["X0"] }'),
-        "block.toml:32: [datum] image 013 is not in images.csv; correct its name",
+        "block.toml:32: [datum] image 013 is not in images.csv; correct the name",
     ),
     "unknown held element": (
         added("block.toml", '[datum]\ntype = "fixed"\n[datum.hold]\n012 = ["X0"]\n021 = ["alpha"]'),

@@ -310,7 +310,7 @@ def test_bad_input_is_2(run, folder, tmp_path):
     broken = tmp_path / "broken"
     shutil.copytree(folder, broken)
     with (broken / "rays.csv").open("a") as rays:
-        rays.write("1_01,20,x,1\n9_09,20,1,1\n")
+        rays.write("1_01,20,x,1,,\n9_09,20,1,1,,\n")
     code, out, err = run("adjust", broken)
     assert (code, out) == (2, "") and err.startswith("jaxbundle: 2 problems in the block:\n")
     assert not (tmp_path / "broken-adjusted").exists()

@@ -175,7 +175,10 @@ HEIGHTS = "give both heights in m above sea level"
             "{ height = 2500.0, refraction = 1e-5 }",
             "height is unknown; known here: flying_height, ground_height, refraction, earth_curvature",
         ),
-        ('{ flying_height = "high", refraction = 1e-5 }', "flying_height is 'high'; it should be a valid number"),
+        (
+            '{ flying_height = "high", refraction = 1e-5 }',
+            'flying_height is "high"; give a number, without quotes and without unit',
+        ),
     ],
 )
 def test_nonsense_is_told(tmp_path: Path, corrections: str, words: str) -> None:

@@ -41,6 +41,8 @@ SAME: dict[str, Form] = {
     "UTF-16, big end first": lambda text: b"\xfe\xff" + text.encode("utf-16-be"),
     "UTF-32": lambda text: text.encode("utf-32"),
     "empty rows of a spreadsheet": lambda text: (text + 3 * ("," * text.partition("\n")[0].count(",") + "\n")).encode(),
+    "comments before the header": lambda text: ("# made by hand, 2\n\n # more\n" + text).encode(),
+    "comments and quotes": lambda text: ("# a\n\n" + quoted(text, ",")).encode(),
     "quotes": lambda text: quoted(text, ",").encode(),
     "quotes and semicolons": lambda text: quoted(text, ";").encode(),
 }  # fmt: skip
@@ -82,9 +84,14 @@ REFUSED: dict[str, tuple[Callable[[Path], object], str]] = {
         lambda folder: write(folder, "points.csv", "101,1,2,3", ["102,1,2,3"]),
         "points.csv:1: the first line '101,1,2,3' is no header; begin the table with its header: point,X,Y,Z",
     ),
-    "empty first line": (
-        lambda folder: write(folder, "points.csv", "", ["point,X,Y,Z", "101,1,2,3"]),
-        "points.csv:1: the first line is empty; begin the table with its header: point,X,Y,Z",
+    "only comments": (
+        lambda folder: write(folder, "points.csv", "# one", ["", "# two"]),
+        "points.csv:1: the table has no header; begin the table with its header: point,X,Y,Z",
+    ),
+    "decimal commas among commas": (
+        lambda folder: write(folder, "points.csv", "point,X,Y,Z", ["101,1,5,2,5,3,5", "102,1,5,2,5,3,5"]),
+        "points.csv:2: 2 rows (lines 2, 3), such as the row '101,1,5,2,5,3,5' has 7 fields, the header 4; "
+        "if the numbers have decimal commas, use points, or separate the fields by semicolons",
     ),
     "empty file": (
         lambda folder: (folder / "points.csv").write_text(""),
@@ -226,3 +233,33 @@ def test_points_measured_again_are_told_once(tmp_path: Path) -> None:
     assert [subject.names for subject in finding.subjects] == [("011", "101"), ("011", "102"), ("021", "101")]
     assert finding.what.startswith("3 rays measure a point again")
     assert np.isfinite(np.asarray(block.object_points)).all()
+
+
+@pytest.mark.parametrize(
+    "ends",
+    ["blank-lines", "blanks", "bom", "comment", "cr-only", "crlf", "no-final-newline"]
+    + [
+        "plus-exponent",
+        "quoted",
+        "reordered",
+        "semicolon",
+        "semicolon-decimal-comma",
+        "tab",
+        "trailing-spaces",
+        "utf16",
+    ],
+)
+def test_a_block_in_many_dialects(shared_data: Path, ends: str) -> None:
+    folder = shared_data / "cases" / "18-file-dialects"
+    assert_same(read_block_folder(folder / ends), read_block_folder(folder / "plain"))
+
+
+@pytest.mark.parametrize(
+    ("name", "words"), [("decimal-comma", "decimal commas"), ("latin1-name", "save the file in UTF-8")]
+)
+def test_what_is_no_dialect(shared_data: Path, name: str, words: str) -> None:
+    """One line for each of the files."""
+    with pytest.raises(BlockError) as caught:
+        read_block_folder(shared_data / "cases" / "18-file-dialects" / name)
+    assert all(words in line for line in caught.value.lines)
+    assert len(caught.value.lines) == len({line.partition(":")[0] for line in caught.value.lines})

@@ -30,7 +30,7 @@ class Problem:
 
 
 class BlockError(ValueError):
-    """Bad input: all problems of a block at once. `places` may replace table and row by file and line."""
+    """Bad input: all problems of a block at once. `lines` may tell them with file and line, not table and row."""
 
     def __init__(self, problems: list[Problem], lines: list[str] | None = None):
         self.problems = tuple(problems)

@@ -190,7 +190,8 @@ def _require_sizes(file: str, text: bytes, numbers: Numbers, cameras: int, obser
     if len(wrong):
         k = int(wrong[0])
         bounds = f"not from {smallest[k]:g} to {limits[k]:g} in size, as {_meaning(k, ends)} is"
-        more = f", and {len(wrong) - 1} more numbers are out of their range" if len(wrong) > 1 else ""
+        others = len(wrong) - 1
+        more = f", and {others} more {'number is' if others == 1 else 'numbers are'} out of range" if others else ""
         raise _wrong(file, _line(text, 3 + k), f"{numbers[k]:g} is {bounds}{more}", AGAIN)
 
 

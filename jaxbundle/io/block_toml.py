@@ -92,9 +92,9 @@ def read_block_toml(path: Path, noted: Noted) -> BlockToml:
     except ValidationError as error:
         alike: dict[tuple, list[ErrorDetails]] = {}
         for detail in error.errors(include_url=False):
-            loc = detail["loc"]
-            named = loc[0] in OF_NAMES and len(loc) > 2  # the same in many sections
-            alike.setdefault((loc[0], loc[2:], detail["msg"]) if named else loc, []).append(detail)
+            loc: tuple[int | str, ...] = detail["loc"]
+            kind = loc[0], loc[2:], detail["msg"]  # the same in many sections
+            alike.setdefault(kind if kind[0] in OF_NAMES and len(loc) > 2 else loc, []).append(detail)
         for first, *others in list(alike.values())[:MANY]:
             loc = tuple(str(part) for part in first["loc"])
             what, cure = in_words(first, loc, path.parent)

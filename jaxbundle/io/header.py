@@ -59,29 +59,48 @@ CURES = {
 
 
 class Header(NamedTuple):
-    """The columns in their order, and what separates them."""
+    """The columns in their order, what separates them, and the line in which they stand, counted from 1."""
 
     columns: list[str]
     separator: str
+    line: int
 
 
-def read_header(file: str, line: str, needed: Sequence[str], optional: Sequence[str], noted: Noted) -> Header | None:
-    """The header of a table; None and one note where it is not that of such a table."""
+def read_header(file: str, text: str, columns: tuple[Sequence[str], Sequence[str]], noted: Noted) -> Header | None:
+    """The header of a table with needed and optional columns; None and one note where it is not that of such a table.
+
+    It is the first line that is neither empty nor a comment, which begins with #.
+    """
+    needed, optional = columns
     known = (*needed, *optional)
+    line, number = _first_line(text)
     found = {separator: _fields(line, separator) for separator in (*SEPARATORS, *OTHERS)}
     score = {separator: len(set(known).intersection(fields)) for separator, fields in found.items()}
     best = max(score, key=lambda separator: score[separator])
     if not score[best]:  # not one column is known
         best = max(SEPARATORS, key=lambda separator: len(found[separator]))
     if best in OTHERS and score[best] > 1:
-        noted.add(file, 1, f"the fields are separated by {OTHERS[best]}", "separate them by commas")
+        noted.add(file, number, f"the fields are separated by {OTHERS[best]}", "separate them by commas")
         return None
     best = best if best in SEPARATORS else ","
     problem = _problem(found[best], needed, known, line)
     if problem:
-        noted.add(file, 1, *problem)
+        noted.add(file, number, *problem)
         return None
-    return Header(found[best], best)
+    return Header(found[best], best, number)
+
+
+def _first_line(text: str) -> tuple[str, int]:
+    """The first line of a text that says something, and its number."""
+    start = number = 0
+    while start < len(text):
+        number += 1
+        end = text.find("\n", start)
+        line = text[start : end if end >= 0 else len(text)]
+        if line.strip() and not line.lstrip().startswith("#"):
+            return line, number
+        start += len(line) + 1
+    return "", 1
 
 
 def _fields(line: str, separator: str) -> list[str]:
@@ -98,7 +117,7 @@ def _fields(line: str, separator: str) -> list[str]:
 def _problem(columns: list[str], needed: Sequence[str], known: Sequence[str], line: str) -> tuple[str, str] | None:
     """What is wrong with the columns of a header, and the cure."""
     if not line.strip():
-        return "the first line is empty", f"begin the table with its header: {','.join(needed)}"
+        return "the table has no header", f"begin the table with its header: {','.join(needed)}"
     if len(columns) > MANY:
         what = f"the header '{shown(line)}' has {len(columns)} columns"
         return what, f"begin the table with its header, {','.join(needed)}, and end each row with a line end"

@@ -226,7 +226,7 @@ def figure_rows(kind: str, table: Table, points: Sequence[str], noted: Noted) ->
     if len(few):
         called, k = kind.removesuffix("s").replace("_", " "), few[0]
         what = f"{called} {shown(figures[k])} has {count[k]} of the {fewest} points it needs"
-        noted.add_rows(table.file, table.lines[first[few]], what, "name more of its points or drop it")
+        noted.add_rows(table.file, table.lines[first[few]].tolist(), what, "name more of its points or drop it")
     return FigureRows(table, figure, figures, point, sigmas)
 
 

@@ -30,9 +30,9 @@ SHOWN_FILES = ("images", "rays", "points", "control", "stations", "attitudes")  
 
 def in_words(error: ErrorDetails, loc: tuple[str, ...], folder: Path) -> tuple[str, str]:
     """A finding of pydantic as problem and cure; `folder` is that of the block."""
+    given, key = _given(error["input"]), loc[-1]
     section = f"[{'.'.join(map(shown, loc[: 2 if loc[0] in OF_NAMES else 1]))}]"
     where = " ".join((section, shown(loc[-1])) if len(loc) > 1 else loc)
-    given = _given(error["input"])
     match error["type"]:
         case "problem":
             context = error.get("ctx", {})
@@ -53,9 +53,9 @@ def in_words(error: ErrorDetails, loc: tuple[str, ...], folder: Path) -> tuple[s
         case "model_type" | "dict_type":
             return f"{where} is not a section", f"write it as [{'.'.join(map(shown, loc))}] and its keys below"
         case "list_type":
-            return f"{where} is {given}", f"give a list in brackets, such as {loc[-1]} = [{given}]"
+            return f"{where} is {given}", f"give a list in brackets, such as {key} = [{given}]"
         case "string_type":
-            return f"{where} is {given}", f'give a text in quotes, such as {loc[-1]} = "{given}"'
+            return f"{where} is {given}", f'give a text in quotes, such as {key} = "{given}"'
         case "float_type" | "int_type" | "float_parsing" | "int_from_float":
             return f"{where} is {given}", "give a number, without quotes and without unit"
         case "finite_number":

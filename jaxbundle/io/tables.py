@@ -57,16 +57,16 @@ class Table:
 
     def note(self, rows: int | Sequence[int] | Int[np.ndarray, " row"], what: Words, cure: str) -> None:
         """Notes what is wrong with one row, or with several for the same cause; nothing if there are none."""
-        rows = np.atleast_1d(np.asarray(rows, int))
-        if not len(rows):
+        numbers = np.atleast_1d(np.asarray(rows, int))
+        if not len(numbers):
             return
-        first = int(rows[0])
+        first = int(numbers[0])
         fields = {column: shown(text) for column, text in self.text.row(first, named=True).items()}
         named = [column for column in fields if f"{{{column}}}" in self.subject]
         for column in named:
-            self.noted.touched.update(self.text[column].gather(rows).unique())
+            self.noted.touched.update(self.text[column].gather(numbers).unique())
         told = f"{self.subject.format(**fields)}: {what if isinstance(what, str) else what(first)}"
-        self.noted.add_rows(self.file, self.lines[rows], told, cure)
+        self.noted.add_rows(self.file, self.lines[numbers].tolist(), told, cure)
 
     def column(self, column: str) -> pl.Series:
         """A column as text; blank where the table does not have it."""
@@ -223,16 +223,18 @@ def read_table(path: Path, subject: str, needed: Sequence[str], optional: Sequen
     if not text.strip():
         noted.add(name, 0, "the file is empty", "fill it, or drop it and its entry in [tables]")
         return None
-    header = read_header(name, text.split("\n", 1)[0], needed, optional, noted)
+    header = read_header(name, text, (needed, optional), noted)
     if header is None:
         return None
+    wrong = len(noted.found)
     frame, lines = (_quoted if '"' in text else _plain)(name, text, header, noted)
     frame = frame.select(pl.all().fill_null("").str.strip_chars())
     blank = frame.select(pl.all_horizontal(pl.all() == "")).to_series()
     if blank.any():  # as spreadsheets append them
         frame, lines = frame.filter(~blank), lines[~blank.to_numpy()]
     if not len(lines):
-        noted.add(name, 0, "the table has no rows", "fill it, or drop it and its entry in [tables]")
+        if len(noted.found) == wrong:
+            noted.add(name, 0, "the table has no rows", "fill it, or drop it and its entry in [tables]")
         return None
     return Table(name, subject, frame, lines, noted, header.separator)
 
@@ -243,7 +245,10 @@ def _wrong_fields(file: str, rows: list[tuple[int, list[str]]], header: Header, 
         fields = rows[0][1]
         row = shown(header.separator.join(fields).strip(), ROW)
         what = f"the row '{row}' has {len(fields)} fields, the header {len(header.columns)}"
-        noted.add_rows(file, [line for line, _ in rows], what, "complete the row or drop it")
+        cure = "complete the row or drop it"
+        if header.separator == "," and len(fields) > len(header.columns) and len(rows) > 1:
+            cure = "if the numbers have decimal commas, use points, or separate the fields by semicolons"
+        noted.add_rows(file, [line for line, _ in rows], what, cure)
         noted.broken.update(field.strip() for _, fields in rows for field in fields)
         noted.touched.update(noted.broken)
 
@@ -257,16 +262,21 @@ def _plain(file: str, text: str, header: Header, noted: Noted) -> tuple[pl.DataF
     separators = np.diff(np.searchsorted(np.flatnonzero(raw == ord(header.separator)), ends), prepend=0)
     right = separators == len(header.columns) - 1
     wrong = []
+    right[: header.line] = True  # the header, and what is before it
     for line in np.flatnonzero(~right).tolist():
         row = data[starts[line] : ends[line]].decode()
         if row.strip(f"{header.separator} \t"):
             wrong.append((line + 1, row.split(header.separator)))
     _wrong_fields(file, wrong, header, noted)
-    right[0] = False  # the header
+    right[: header.line] = False
     lines = np.flatnonzero(right)
     if not len(lines):
         return pl.DataFrame(schema=dict.fromkeys(header.columns, pl.String)), lines
-    body = data[starts[1] :] if right[1:].all() else b"\n".join(data[starts[k] : ends[k]] for k in lines)
+    body = (
+        data[starts[header.line] :]
+        if right[header.line :].all()
+        else b"\n".join(data[starts[k] : ends[k]] for k in lines)
+    )
     frame = pl.read_csv(
         io.BytesIO(body),
         has_header=False,
@@ -284,10 +294,10 @@ def _quoted(file: str, text: str, header: Header, noted: Noted) -> tuple[pl.Data
     rows, lines, wrong, line = [], [], [], 1
     try:
         for row in reader:
-            if line > 1 and len(row) == len(header.columns):
+            if line > header.line and len(row) == len(header.columns):
                 rows.append(row)
                 lines.append(line)
-            elif line > 1 and "".join(row).strip():
+            elif line > header.line and "".join(row).strip():
                 wrong.append((line, row))
             line = reader.line_num + 1
     except csv.Error as error:

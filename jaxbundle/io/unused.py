@@ -12,13 +12,14 @@ from jaxtyping import Int
 
 from jaxbundle.block.findings import Finding, Kind, Severity, Subject
 from jaxbundle.io.block_toml import FILE, BlockToml
-from jaxbundle.io.folder_tables import USUAL_FILES, FolderTables, KnownRows
+from jaxbundle.io.control_columns import OPTIONAL
+from jaxbundle.io.folder_tables import COORDINATES, SIGMAS, USUAL_FILES, FolderTables, KnownRows
 from jaxbundle.io.near_names import Match, slip
 from jaxbundle.io.noted import Noted, listed
 from jaxbundle.io.observation_tables import unused as unused_names
 from jaxbundle.io.remarks import SUBJECTS
 from jaxbundle.io.settings import Settings
-from jaxbundle.io.tables import near
+from jaxbundle.io.tables import near, read_table
 
 CARRYING = {"control": "control points", "stations": "stations", "attitudes": "attitudes"}
 DATUM = ("control", "stations")
@@ -50,7 +51,7 @@ def unused(
         for name, origin in zip(groups.names, groups.origin.tolist(), strict=True)
         if origin
     ]
-    found += _files(folder, toml, settings, tables)
+    found += _files(folder, toml, settings, tables, noted)
     return (*found, *noted.remarks, *(Finding(Kind.INFORMATION, time) for time in times))
 
 
@@ -160,7 +161,7 @@ def _approximate(tables: FolderTables) -> list[Finding]:
     return [Finding(Kind.UNUSED, what, str(match) if match else "", _subjects("points", rows, unseen), grade=grade)]
 
 
-def _files(folder: Path, toml: BlockToml, settings: Settings, tables: FolderTables) -> list[Finding]:
+def _files(folder: Path, toml: BlockToml, settings: Settings, tables: FolderTables, noted: Noted) -> list[Finding]:
     """Tables that are there and not named in [tables]."""
     located = any(len(_takes_part(tables.known[kind])) for kind in DATUM if kind in tables.known)
     found = []
@@ -175,4 +176,12 @@ def _files(folder: Path, toml: BlockToml, settings: Settings, tables: FolderTabl
             found.append(Finding(Kind.UNUSED, what, cure, (Subject(kind),), grade=Severity.CHECK))
         else:
             found.append(Finding(Kind.NOT_USED, what, cure, (Subject(kind),)))
+            if kind == "control":
+                noted.touched.update(_names_in(folder / file))
     return found
+
+
+def _names_in(path: Path) -> list[str]:
+    """The points that a table of control names, as far as it can be read."""
+    table = read_table(path, "", ("point",), (*COORDINATES, *SIGMAS, "role", *OPTIONAL), Noted())
+    return table.text["point"].to_list() if table else []

@@ -38,6 +38,7 @@ from jaxbundle.io import block_folder, read, read_bal, write_bal  # noqa: E402
 LIMIT = 10.0  # seconds of processor time of one input
 WAIT = 60.0  # seconds of any time: a file that never ends
 LONG = 2.0  # seconds of processor time that are reported
+REPORTED = 5000  # inputs, after each of which a line is printed
 SHARES = (0.15, 0.1, 0.05, 0.7)  # of the inputs: of each folder, the cheap ones more, and of BAL files
 MESSAGE = 100_000  # characters of all that is told
 
@@ -121,6 +122,8 @@ def fuzz(folder: Path, inputs: int, seed: int, whole: int, shares: Sequence[floa
         found = outcome(path)
         used = time.process_time() - start
         count[f"{name}: {found}"] += 1
+        if number % REPORTED == REPORTED - 1:
+            print(f"{number + 1} inputs read", flush=True)
         if found not in ("Block", "BlockError") or (used > LONG and plain):
             print(f"input {number} ({name}): {found}, {used:.1f} s", flush=True)
         if kind < len(made):
