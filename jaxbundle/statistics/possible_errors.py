@@ -176,9 +176,9 @@ class _Collection:
                 tables[name] += [(of, [(k, r) for r in rows]) for of, rows in _sharing(self.block, group)]
         for table, sets in tables.items():
             for name, members in sets:
-                self._shifted(Subject(table, (name,) if name else ()), members)
+                self._shifted(Subject("navigation", (name,)) if name else Subject(table), table, members)
 
-    def _shifted(self, subject: Subject, members: list[tuple[int, int]]) -> None:
+    def _shifted(self, subject: Subject, table: str, members: list[tuple[int, int]]) -> None:
         """A common shift of some rows, whole and by component."""
         columns, names, covered = [], [], frozenset(members)
         if len(covered) < 2:
@@ -202,7 +202,7 @@ class _Collection:
             if parts:
                 columns.append(self._combined(parts))
                 names.append(labels[axis])
-        unit = self.s.angle_unit if subject.table in ANGLE_TABLES else self.s.object_unit
+        unit = self.s.angle_unit if table in ANGLE_TABLES else self.s.object_unit
         units = (unit,) * len(columns)
         if not columns:
             return
