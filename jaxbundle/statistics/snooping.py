@@ -24,8 +24,8 @@ SINGLE = (Cause.VALUE, Cause.NAMES, Cause.AXES)
 class Removed(NamedTuple):
     """One removed row in the user's names, its component "" if all were removed, and sigma0 after.
 
-    Before: the root of its T as `w`, |w| of one component; residual and redundancy number of its worst component, NaN if
-    it is fixed.
+    Before: the root of its T as `w`, |w| of one component; residual and redundancy number of its worst component, NaN
+    if it is fixed.
     """
 
     table: str
