@@ -24,6 +24,7 @@ RAYS = 40  # with the largest |w| that are tested: an error raises those of its 
 MEMBERS = 120  # of one table that are tested, those with the largest |w|
 IMAGES = 8  # whose rays are tested as a whole: those with the largest mean w^2
 FEWEST_RAYS = 4  # of an image or camera that is tested as a whole: scale and shift are 3 numbers
+FEWEST_ALIKE = 3  # rows of images with the same beginning of their names that are tested as a group
 WIDEST = 3e7  # rays times columns of images: beyond, only single rays are tested
 FEWEST_COLUMNS, MOST_COLUMNS = 60, 500
 NUMBERS = 3e7  # of all columns by all unknowns: 240 MB
@@ -342,7 +343,21 @@ def _sharing(block: Block, group: ObservationGroup) -> list[tuple[str, list[int]
         rows = np.flatnonzero((shared == own).all(1) & structure.observed.any(1)).tolist()
         name = block.structure.parameters[own[0]].name if len(own) else ""
         sets.append((name.partition(" of ")[2], rows))
-    return sets
+    named = _alike_named(block, structure.indices[:, 0], structure.observed.any(1))
+    return [*sets, *named] if len(sets) == 1 else sets
+
+
+def _alike_named(
+    block: Block, images: Int[np.ndarray, " row"], observed: Bool[np.ndarray, " row"]
+) -> list[tuple[str, list[int]]]:
+    """Rows by what stands before the last number of their image's name, as those of a strip or flight: "s1_01", "s1_02"."""
+    beginnings: dict[str, list[int]] = {}
+    for row in np.flatnonzero(observed).tolist():
+        name = block.structure.image_names[images[row]].rstrip("0123456789")
+        beginnings.setdefault(name, []).append(row)
+    if len(beginnings) < 2:
+        return []
+    return [(f"images {name}*", rows) for name, rows in beginnings.items() if name and len(rows) >= FEWEST_ALIKE]
 
 
 def _largest(score: Float[np.ndarray, " row"], most: int) -> Int[np.ndarray, " chosen"]:
