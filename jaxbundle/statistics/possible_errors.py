@@ -350,7 +350,7 @@ def _sharing(block: Block, group: ObservationGroup) -> list[tuple[str, list[int]
 def _alike_named(
     block: Block, images: Int[np.ndarray, " row"], observed: Bool[np.ndarray, " row"]
 ) -> list[tuple[str, list[int]]]:
-    """Rows by what stands before the last number of their image's name, as those of a strip or flight: "s1_01", "s1_02"."""
+    """Rows by what stands before the last number of their image's name, as of a strip or flight "s1_01", "s1_02"."""
     beginnings: dict[str, list[int]] = {}
     for row in np.flatnonzero(observed).tolist():
         name = block.structure.image_names[images[row]].rstrip("0123456789")

@@ -110,8 +110,8 @@ def find_suspects(adjustment: Adjustment, level: float = LEVEL) -> Suspects:
 
 
 def _start(adjustment: Adjustment, level: float) -> "_State":
-    """The tests at the adjustment or, where its residuals are large and that explains them more simply, at values of the
-    unknowns that they have not drawn aside."""
+    """The tests at the adjustment or, where its residuals are large and that explains them more simply, at values of
+    the unknowns that they have not drawn aside."""
     given, roots = adjustment.block, _roots(adjustment)
     state = _State.of(given, given, _tables(adjustment), roots, level)
     if float(adjustment.sigma0) < LARGE or given.structure.unknowns > MOST_DENSE:
