@@ -241,7 +241,7 @@ class _Collection:
         self.found.append(Hypothesis((subject,), cause, (column,), (name,), (unit,), covered))
 
     def _images(self) -> None:
-        """All rays of an image, or of a camera with several images: a wrong scale of the image coordinates, a shift."""
+        """All rays of an image, or of a camera with several images: a wrong scale of the image coordinates."""
         s, rays = self.s, len(self.s.ray_image)
         count = np.bincount(s.ray_image, minlength=len(s.image_names))
         square = np.bincount(s.ray_image, (self.w[0] ** 2).sum(1), minlength=len(s.image_names))
@@ -264,13 +264,12 @@ class _Collection:
             return
         point = image_points(self.block)[ray]
         centre = point.mean(0)
-        scale = ErrorColumn(0, np.repeat(ray, 2), np.tile([0, 1], len(ray)), (point - centre).ravel())
-        shifts = [ErrorColumn(0, ray, np.full(len(ray), k), np.ones(len(ray))) for k in range(2)]
-        columns = tuple(self._elementary(column) for column in (scale, *shifts))
-        unit = unit_of(self.block, 0, int(ray[0]))
+        # a shift of all image points is hardly told from a turn of the image
+        column = self._elementary(
+            ErrorColumn(0, np.repeat(ray, 2), np.tile([0, 1], len(ray)), (point - centre).ravel())
+        )
         members = frozenset((0, r) for r in ray.tolist())
-        names, units = ("scale", "x", "y"), ("", unit, unit)
-        self.found.append(Hypothesis((subject,), Cause.IMAGE, columns, names, units, members))
+        self.found.append(Hypothesis((subject,), Cause.IMAGE, (column,), ("scale",), ("",), members))
 
     # mistakes of a known size
 

@@ -103,8 +103,8 @@ def find_suspects(adjustment: Adjustment, level: float = LEVEL) -> Suspects:
         if state.settled:
             break
         again = adjust(with_unknowns_of(with_errors_removed(given, state.elementary()), state.block), precision=False)
-        if again.status is not Status.CONVERGED:
-            break
+        if again.status is not Status.CONVERGED or float(again.vtpv) > float(adjustment.vtpv):
+            break  # too far for the linear tests, whose first word stands
         state = state.next(again)
     return state.found() if state.accepted else nobody
 
