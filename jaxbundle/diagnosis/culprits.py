@@ -18,6 +18,7 @@ SINGLE = {  # table -> a row of it
     "attitudes": "the attitude of image {0}",
     "images": "the rays of image {0} as a whole",
     "cameras": "the rays of camera {0} as a whole",
+    "navigation": "the navigation data of {0}",
     "bars": "the length of scale bar {0}",
     "interior": "the observed interior elements of camera {0}",
     "parameters": "the observed value of {0}",
@@ -104,9 +105,6 @@ def _cure(s: Suspicion) -> str:
 def _named(subject: Subject) -> str:
     if not subject.names:
         return TOGETHER.get(subject.table, f"all {subject.table.replace('_', ' ')}")
-    group = len(subject.names) == 1 and subject.table in ("stations", "attitudes") and subject.component == "*"
-    if group:
-        return f"{TOGETHER[subject.table]} of {subject.names[0]}"
     words = SINGLE.get(subject.table)
     return words.format(*subject.names) if words else f"{subject.table} {' - '.join(subject.names)}"
 

@@ -28,7 +28,7 @@ class Cause(Enum):
     AXES = "exchanged axes"
     SHIFT = "common shift"
     SCALE = "common scale"
-    IMAGE = "scale and shift of image coordinates"
+    IMAGE = "scale of image coordinates"
 
 
 @dataclass(frozen=True)

@@ -24,6 +24,7 @@ RAYS = 40  # with the largest |w| that are tested: an error raises those of its 
 MEMBERS = 120  # of one table that are tested, those with the largest |w|
 IMAGES = 8  # whose rays are tested as a whole: those with the largest mean w^2
 FEWEST_RAYS = 4  # of an image or camera that is tested as a whole: scale and shift are 3 numbers
+FEWEST_ALIKE = 3  # rows of images with the same beginning of their names that are tested as a group
 WIDEST = 3e7  # rays times columns of images: beyond, only single rays are tested
 FEWEST_COLUMNS, MOST_COLUMNS = 60, 500
 NUMBERS = 3e7  # of all columns by all unknowns: 240 MB
@@ -176,9 +177,9 @@ class _Collection:
                 tables[name] += [(of, [(k, r) for r in rows]) for of, rows in _sharing(self.block, group)]
         for table, sets in tables.items():
             for name, members in sets:
-                self._shifted(Subject(table, (name,) if name else ()), members)
+                self._shifted(Subject("navigation", (name,)) if name else Subject(table), table, members)
 
-    def _shifted(self, subject: Subject, members: list[tuple[int, int]]) -> None:
+    def _shifted(self, subject: Subject, table: str, members: list[tuple[int, int]]) -> None:
         """A common shift of some rows, whole and by component."""
         columns, names, covered = [], [], frozenset(members)
         if len(covered) < 2:
@@ -202,7 +203,7 @@ class _Collection:
             if parts:
                 columns.append(self._combined(parts))
                 names.append(labels[axis])
-        unit = self.s.angle_unit if subject.table in ANGLE_TABLES else self.s.object_unit
+        unit = self.s.angle_unit if table in ANGLE_TABLES else self.s.object_unit
         units = (unit,) * len(columns)
         if not columns:
             return
@@ -240,7 +241,7 @@ class _Collection:
         self.found.append(Hypothesis((subject,), cause, (column,), (name,), (unit,), covered))
 
     def _images(self) -> None:
-        """All rays of an image, or of a camera with several images: a wrong scale of the image coordinates, a shift."""
+        """All rays of an image, or of a camera with several images: a wrong scale of the image coordinates."""
         s, rays = self.s, len(self.s.ray_image)
         count = np.bincount(s.ray_image, minlength=len(s.image_names))
         square = np.bincount(s.ray_image, (self.w[0] ** 2).sum(1), minlength=len(s.image_names))
@@ -263,13 +264,12 @@ class _Collection:
             return
         point = image_points(self.block)[ray]
         centre = point.mean(0)
-        scale = ErrorColumn(0, np.repeat(ray, 2), np.tile([0, 1], len(ray)), (point - centre).ravel())
-        shifts = [ErrorColumn(0, ray, np.full(len(ray), k), np.ones(len(ray))) for k in range(2)]
-        columns = tuple(self._elementary(column) for column in (scale, *shifts))
-        unit = unit_of(self.block, 0, int(ray[0]))
+        # a shift of all image points is hardly told from a turn of the image
+        column = self._elementary(
+            ErrorColumn(0, np.repeat(ray, 2), np.tile([0, 1], len(ray)), (point - centre).ravel())
+        )
         members = frozenset((0, r) for r in ray.tolist())
-        names, units = ("scale", "x", "y"), ("", unit, unit)
-        self.found.append(Hypothesis((subject,), Cause.IMAGE, columns, names, units, members))
+        self.found.append(Hypothesis((subject,), Cause.IMAGE, (column,), ("scale",), ("",), members))
 
     # mistakes of a known size
 
@@ -342,7 +342,21 @@ def _sharing(block: Block, group: ObservationGroup) -> list[tuple[str, list[int]
         rows = np.flatnonzero((shared == own).all(1) & structure.observed.any(1)).tolist()
         name = block.structure.parameters[own[0]].name if len(own) else ""
         sets.append((name.partition(" of ")[2], rows))
-    return sets
+    named = _alike_named(block, structure.indices[:, 0], structure.observed.any(1))
+    return [*sets, *named] if len(sets) == 1 else sets
+
+
+def _alike_named(
+    block: Block, images: Int[np.ndarray, " row"], observed: Bool[np.ndarray, " row"]
+) -> list[tuple[str, list[int]]]:
+    """Rows by what stands before the last number of their image's name, as of a strip or flight "s1_01", "s1_02"."""
+    beginnings: dict[str, list[int]] = {}
+    for row in np.flatnonzero(observed).tolist():
+        name = block.structure.image_names[images[row]].rstrip("0123456789")
+        beginnings.setdefault(name, []).append(row)
+    if len(beginnings) < 2:
+        return []
+    return [(f"images {name}*", rows) for name, rows in beginnings.items() if name and len(rows) >= FEWEST_ALIKE]
 
 
 def _largest(score: Float[np.ndarray, " row"], most: int) -> Int[np.ndarray, " chosen"]:

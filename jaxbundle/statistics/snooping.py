@@ -23,8 +23,11 @@ SINGLE = (Cause.VALUE, Cause.NAMES, Cause.AXES)
 
 
 class Removed(NamedTuple):
-    """One removed row in the user's names, `component` "" if as a whole, and sigma0 after. Before: `w`, the root of its
-    T, which is |w| of one component; residual and redundancy number of its worst component, NaN if it is fixed."""
+    """One removed row in the user's names, its component "" if all were removed, and sigma0 after.
+
+    Before: the root of its T as `w`, |w| of one component; residual and redundancy number of its worst component, NaN
+    if it is fixed.
+    """
 
     table: str
     names: tuple[str, ...]

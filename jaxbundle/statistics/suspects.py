@@ -31,6 +31,7 @@ MOST = 25  # suspicions: of more errors than that the tests say little
 ROUNDS = 5  # of adjusting again; Gauss-Newton steps of the sizes, of which the last changes nothing
 RAYS_FOR_ONE_ROUND = 200_000  # beyond, one adjustment more is all that the suspects may cost
 LARGE = 3.0  # sigma0 from which on the tests begin at robust values of the unknowns
+EXPLAINED = 1.5  # sigma0 that is left where the residuals are explained
 SAME = 0.05  # change of a size, in its standard deviations, or of itself
 SHOWN = 0.01  # part of an error that its residuals show, below which its size is not told
 NO_ERRORS = 1e-6  # sigma0 of observations that have no errors: residuals are rounding
@@ -102,20 +103,23 @@ def find_suspects(adjustment: Adjustment, level: float = LEVEL) -> Suspects:
         if state.settled:
             break
         again = adjust(with_unknowns_of(with_errors_removed(given, state.elementary()), state.block), precision=False)
-        if again.status is not Status.CONVERGED:
-            break
+        if again.status is not Status.CONVERGED or float(again.vtpv) > float(adjustment.vtpv):
+            break  # too far for the linear tests, whose first word stands
         state = state.next(again)
     return state.found() if state.accepted else nobody
 
 
 def _start(adjustment: Adjustment, level: float) -> "_State":
-    """The tests at the adjustment; where its residuals are large, at values that they have not drawn aside."""
-    given, large = adjustment.block, float(adjustment.sigma0) > LARGE
-    if large and given.structure.unknowns <= MOST_DENSE and (robust := robust_point(adjustment)) is not None:
-        state = _State.of(given, robust.block, robust.weighted_residuals, _roots(adjustment), level)
-        if state.accepted:
-            return state
-    return _State.of(given, given, _tables(adjustment), _roots(adjustment), level)
+    """The tests at the adjustment or, where its residuals are large and that explains them more simply, at values of
+    the unknowns that they have not drawn aside."""
+    given, roots = adjustment.block, _roots(adjustment)
+    state = _State.of(given, given, _tables(adjustment), roots, level)
+    if float(adjustment.sigma0) < LARGE or given.structure.unknowns > MOST_DENSE:
+        return state
+    robust = robust_point(adjustment)
+    if robust is None:
+        return state
+    return min(state, _State.of(given, robust.block, robust.weighted_residuals, roots, level), key=_State.complexity)
 
 
 def _tables(adjustment: Adjustment) -> tuple[np.ndarray, ...]:
@@ -153,6 +157,12 @@ class _State:
         tests = error_tests(block, residuals, hypotheses.elementary).combined(hypotheses.combinations)
         selection = Selection(tests, hypotheses.every, _log_level(level, hypotheses))
         return cls(given, block, w, roots, level, hypotheses, selection, selection.select(MOST), {})
+
+    def complexity(self) -> tuple[float, int]:
+        """What is left unexplained, where it is much; then by how many numbers the rest is explained."""
+        left = self.selection.given(self.accepted)
+        sigma0 = float(np.sqrt(max(left.vtpv, 0.0) / max(left.redundancy, 1)))
+        return (sigma0 if sigma0 > EXPLAINED else 0.0), self.selection.tests.redundancy - left.redundancy
 
     def next(self, adjustment: Adjustment) -> "_State":
         """The tests at the adjustment without the errors that this state accepts."""
