@@ -25,7 +25,7 @@ from jaxbundle.numerics.host import constant, on_device, on_host
 from jaxbundle.numerics.precision import require_float64
 from jaxbundle.solve import levenberg_marquardt as solver
 from jaxbundle.solve.adjustment import Adjustment, Iterations, Status
-from jaxbundle.solve.answer import adjustment
+from jaxbundle.solve.answer import Ended, adjustment
 from jaxbundle.solve.checkpoint import Keeper, fingerprint, require_same_block
 from jaxbundle.solve.free_network import constrained, freed
 from jaxbundle.solve.implicit import Derivatives, minimum
@@ -98,7 +98,8 @@ def adjust(
     if checkpoint is not None:
         raise ValueError("a robust adjustment solves many times and keeps no checkpoint")
     solve = Solve(
-        lambda b: _least_squares(b, wanted, False, None), lambda b: _least_squares(b, wanted, precision, None)
+        lambda b: _least_squares(b, wanted, False, None, inspected=False),
+        lambda b: _least_squares(b, wanted, precision, None),
     )
     return adjust_robustly(block, robust, solve)
 
@@ -129,8 +130,10 @@ class _Wanted(NamedTuple):
     progress: Callable[[Progress], None] | None
 
 
-def _least_squares(block: Block, wanted: _Wanted, precision: bool, checkpoint: Path | None) -> Adjustment:
-    """One adjustment."""
+def _least_squares(
+    block: Block, wanted: _Wanted, precision: bool, checkpoint: Path | None, inspected: bool = True
+) -> Adjustment:
+    """One adjustment; without `inspected` one whose answer is not checked, for a result that nobody sees."""
     if block.structure.datum.kind == "inner" and not block.concrete:
         raise ValueError("a free network is adjusted outside of jit, grad and vmap; there take a minimal datum")
     values = with_datum(constant(block))
@@ -152,9 +155,10 @@ def _least_squares(block: Block, wanted: _Wanted, precision: bool, checkpoint: P
     if block.structure.datum.kind == "inner":
         arranged = arranged_unknowns(plan, constrained(centred, restored_unknowns(plan, arranged)))
         block = dataclasses.replace(block, structure=freed(block.structure))
-    return adjustment(
-        block, plan, given, arranged, iterations, origin, wanted.rule.name, wanted.method, precision, optimised
+    ended = Ended(
+        iterations, origin, wanted.rule.name, wanted.method, precision, inspected and block.concrete, optimised
     )
+    return adjustment(block, plan, given, arranged, ended)
 
 
 def _solved(run: "_Run", checkpoint: Path | None) -> tuple[Arranged, Iterations]:
@@ -242,7 +246,8 @@ def _step_by_step(run: _Run, keeper: Keeper | None) -> tuple[Arranged, Iteration
 
 
 def _iterations(state: State, status: Array) -> Iterations:
-    return Iterations(status, state.trials, state.accepted, state.initial_cost, state.cost, state.measure)
+    step = jnp.where(state.used_damping == 0, state.step, 0.0)
+    return Iterations(status, state.trials, state.accepted, state.initial_cost, state.cost, state.measure, step)
 
 
 def _progress(block: Block, state: State, accepted: bool) -> Progress:

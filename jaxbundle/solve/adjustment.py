@@ -45,7 +45,8 @@ class Status(IntEnum):
 
 
 class Iterations(NamedTuple):
-    """How the solve went. `measure` is the stopping rule's number at the last accepted step."""
+    """How the solve went. `measure` is the stopping rule's number at the last accepted step; `step`, |J d| / |v| of
+    the last one if it was not damped, else 0."""
 
     status: Int[Array, ""]
     trials: Int[Array, ""]
@@ -53,6 +54,7 @@ class Iterations(NamedTuple):
     initial_cost: Float[Array, ""]
     final_cost: Float[Array, ""]
     measure: Float[Array, ""]
+    step: Float[Array, ""]
 
 
 class BlockCofactors(NamedTuple):
@@ -105,6 +107,7 @@ class Adjustment(eqx.Module):
     reduced: str = eqx.field(static=True)  # how the reduced equations were solved
     findings: tuple[Finding, ...] = eqx.field(static=True, default=())  # of the block and of its adjustment
     reweighting: Reweighting | None = None  # None: not robust
+    undetermined_directions: int = eqx.field(static=True, default=0)  # in which the unknowns move and no residual does
 
     @property
     def observations(self) -> int:
@@ -118,8 +121,8 @@ class Adjustment(eqx.Module):
 
     @property
     def redundancy(self) -> int:
-        """M - N."""
-        return self.block.redundancy
+        """M - N, where N does not count directions of the unknowns that are not determined: M less the rank of A."""
+        return self.block.redundancy + self.undetermined_directions
 
     @property
     def vtpv(self) -> Float[Array, ""]:
@@ -146,7 +149,7 @@ class Adjustment(eqx.Module):
     @property
     def undetermined(self) -> tuple[Finding, ...]:
         """What the observations do not determine."""
-        return of_kind(self.findings, Kind.UNDETERMINED)
+        return of_kind(self.findings, Kind.PARTS, Kind.UNDETERMINED)
 
     @property
     def standard_deviations(self) -> StandardDeviations:
