@@ -78,8 +78,9 @@ def weak_datum(block: Block, sigma0: float) -> tuple[Finding, ...]:
     values, vectors = np.linalg.eigh(factor**2 * precision.covariance)
     worst = vectors[:, -1:] * np.sqrt(max(values[-1], 0.0))
     moved = np.linalg.norm(displacements(worst, points, frame.radius)[0], axis=1)
+    extent = float(np.median(np.linalg.norm(points - np.median(points, 0), axis=1)))
     angle = float(np.linalg.norm(worst[3:6]))
-    if angle <= LARGEST_ANGLE and np.median(moved) <= LARGEST_SHARE * frame.radius:
+    if angle <= LARGEST_ANGLE and np.median(moved) <= LARGEST_SHARE * extent:
         return ()
     return (_finding(block, worst, float(moved.max()), angle),)
 
@@ -93,27 +94,28 @@ def _finding(block: Block, worst: Float[np.ndarray, "7 1"], moved: float, angle:
         displacements(worst, np.array([p for *_, p in places]) - frame.centre, frame.radius)[0], axis=1
     )
     resting = [places[k] for k in np.flatnonzero(size <= AT_REST * moved)]
-    what = similarity_words(worst)
-    if angle > 0 and len(resting) > 1 and np.linalg.norm(worst[3:6]) > abs(worst[6, 0]):
+    what, turns = similarity_words(worst)
+    if turns and len(resting) > 1:
         what = f"the rotation about the line through {_listed([name for _, name, _ in resting])}"
-    sized = f"{np.rad2deg(angle):.3g} deg" if angle > LARGEST_ANGLE else f"{moved:.3g} {unit}"
+    sized = f"{np.rad2deg(angle):.3g} deg" if turns else f"{moved:.3g} {unit}"
     what = (
-        f"control and observed stations determine {what} with a standard deviation of {sized} only: points are uncertain"
-        f" by up to {moved:.3g} {unit}"
+        f"control and observed stations determine {what} with a standard deviation of {sized} only:"
+        f" points are uncertain by up to {moved:.3g} {unit}"
     )
     cure = "add control, or observed stations, away from the line of those that are there"
     subjects = tuple(Subject("control" if table == "point" else "stations", (name,)) for table, name, _ in resting)
     return Finding(Kind.IMPRECISE, what, cure, subjects, moved, unit, Severity.FAILED)
 
 
-def similarity_words(direction: Float[np.ndarray, "7 1"]) -> str:
-    """The parameter that a direction mostly is."""
-    shares = [np.linalg.norm(direction[:3]), np.linalg.norm(direction[3:6]), abs(float(direction[6, 0]))]
+def similarity_words(direction: Float[np.ndarray, "7 1"]) -> tuple[str, bool]:
+    """The parameter that a direction mostly is, and whether that is a rotation."""
+    # a rotation or a change of scale about a place off the centre comes with a shift of the centre
+    shares = [1e-3 * np.linalg.norm(direction[:3]), np.linalg.norm(direction[3:6]), abs(float(direction[6, 0]))]
     kind, unit = int(np.argmax(shares)), np.zeros(7)
     rows = (slice(0, 3), slice(3, 6), slice(6, 7))[kind]
     unit[rows] = direction[rows, 0] / shares[kind]
     found: SimilarityDefect = similarity_defect(unit[:, None])
-    return found.words
+    return found.words, kind == 1
 
 
 def _listed(names: list[str]) -> str:

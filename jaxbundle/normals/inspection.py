@@ -75,16 +75,41 @@ def inspection_parts() -> Inspection:
 
 
 def _on_device(unknowns: Arranged, linear: Linearised, p: Problem, free: Array, axis: str | None) -> Inspection:
-    zero, tiles = jnp.zeros(()), local_tiles(p.tiles)
+    if p.shape.implicit:
+        equations, reduced = _implicit(unknowns, linear, p, free, axis)
+        found = inspected(reduced, equations.preconditioner(), equations.factors, unknowns, axis)
+        return found._replace(softest=_softest(equations))
+    reduced, factors = _eliminated(unknowns, linear, p, free, axis)
+    return inspected(reduced, factorise(p.reduced, reduced.system, jnp.zeros(())), factors, unknowns, axis)
+
+
+def _eliminated(
+    unknowns: Arranged, linear: Linearised, p: Problem, free: Array, axis: str | None
+) -> tuple[Reduced, Float[Array, "tile numbers"]]:
+    """The reduced equations without damping, and the factors of the points of this device."""
+    tiles = local_tiles(p.tiles)
     rays, factors = eliminate(
-        p.observations, linear.table, unknowns.tiles, linear.prior, free, zero, tiles, p.shape, p.diagonal_pair
+        p.observations,
+        linear.table,
+        unknowns.tiles,
+        linear.prior,
+        free,
+        jnp.zeros(()),
+        tiles,
+        p.shape,
+        p.diagonal_pair,
     )
-    reduced = reduced_system(lax.psum(rays, axis) if axis else rays, linear.kept, p)
-    if not p.shape.implicit:
-        return inspected(reduced, factorise(p.reduced, reduced.system, zero), factors, unknowns, axis)
+    return reduced_system(lax.psum(rays, axis) if axis else rays, linear.kept, p), factors
+
+
+def _implicit(
+    unknowns: Arranged, linear: Linearised, p: Problem, free: Array, axis: str | None
+) -> tuple[ImplicitEquations, Reduced]:
+    """The same where the reduced equations are not formed."""
+    reduced, factors = _eliminated(unknowns, linear, p, free, axis)
+    zero, tiles = jnp.zeros(()), local_tiles(p.tiles)
     equations = ImplicitEquations(unknowns, linear.turns, linear.kept, reduced.system, factors, zero, p, tiles, axis)
-    found = inspected(reduced, equations.preconditioner(), factors, unknowns, axis)
-    return found._replace(softest=_softest(equations))
+    return equations, reduced
 
 
 def inspected(
@@ -109,6 +134,27 @@ def inspected(
         jnp.sqrt(jnp.maximum(steepness, of_kept)),
         None,
     )
+
+
+def reduced_products(unknowns: Arranged, p: Problem, vectors: KeptVector) -> KeptVector:
+    """S x for every vector of the leading axis, where the reduced equations are not formed."""
+    linear, free = linearise(unknowns, p), p.free_tiles
+    if p.devices == 1:
+        return _products_on_device(unknowns, linear, p, free, vectors, None)
+    return jax.shard_map(
+        partial(_products_on_device, axis=AXIS),
+        mesh=device_mesh(p.devices),
+        in_specs=(*partition(unknowns, linear, p), OF_TILES, EVERYWHERE),
+        out_specs=EVERYWHERE,
+        check_vma=False,
+    )(unknowns, linear, p, free, vectors)
+
+
+def _products_on_device(
+    unknowns: Arranged, linear: Linearised, p: Problem, free: Array, vectors: KeptVector, axis: str | None
+) -> KeptVector:
+    equations = _implicit(unknowns, linear, p, free, axis)[0]
+    return lax.map(equations.product, vectors)
 
 
 def _softest(equations: ImplicitEquations) -> Softest:

@@ -28,6 +28,7 @@ CURES = {
     Status.SINGULAR: "hold what the observations do not determine, or use the Levenberg-Marquardt method",
     Status.DIVERGED: "give better approximate values, or use the Levenberg-Marquardt method",
     Status.STALLED: "look for gross errors among the worst residuals and for unknowns that are hardly determined",
+    Status.CREEPING: "add control, or observed stations, where the datum is weak",
     Status.INTERRUPTED: "start again from the adjusted values",
 }
 

@@ -14,6 +14,7 @@ from jaxtyping import Array
 
 from jaxbundle.block.block import Block
 from jaxbundle.block.datum import with_datum
+from jaxbundle.block.datum_precision import weak_datum
 from jaxbundle.block.residuals import observations_of
 from jaxbundle.block.unknowns import unknowns_of
 from jaxbundle.block.validate import require_valid
@@ -32,11 +33,13 @@ from jaxbundle.solve.implicit import Derivatives, minimum
 from jaxbundle.solve.levenberg_marquardt import Arguments, BundleSolver, State
 from jaxbundle.solve.robust import AbstractWeightFunction, Solve, adjust_robustly
 from jaxbundle.solve.search import DampedSearch, FullStep
+from jaxbundle.solve.start import require_finite_start
 from jaxbundle.solve.stopping import AbstractStoppingRule, AngleRule
 
 METHODS = {"levenberg-marquardt": DampedSearch, "gauss-newton": FullStep}
 ENGINES = ("block", "jaxopt")
 RAYS_FOR_DEVICES = 10_000
+CREEPING_STEPS = 10  # Gauss-Newton and Levenberg-Marquardt end in fewer where the datum is determined
 _STATUS = {
     solver.RUNNING: Status.MAXIMUM_ITERATIONS,
     solver.CONVERGED: Status.CONVERGED,
@@ -169,6 +172,9 @@ def _solved(run: "_Run", checkpoint: Path | None) -> tuple[Arranged, Iterations]
         second_opinion = importlib.import_module("jaxbundle.solve.second_opinion")
         args = second_opinion.Arguments(observations_of(block), wanted.rule)
         unknowns, iterations = second_opinion.solve(unknowns_of(block), args, wanted.method, wanted.max_iterations)
+        if not np.isfinite(float(iterations.initial_cost)):
+            start = arranged_unknowns(run.plan, unknowns_of(block))
+            require_finite_start(block, run.plan, start, run.args.problem)
         return arranged_unknowns(run.plan, unknowns), iterations
     if not block.concrete:
         return _in_one(run)
@@ -226,23 +232,39 @@ def _step_by_step(run: _Run, keeper: Keeper | None) -> tuple[Arranged, Iteration
     if keeper is not None:
         start, state = keeper.resumed(start, state)
     unknowns, problem, state = placed(arranged_unknowns(run.plan, start), run.args.problem, state)
-    args, interrupted = run.args._replace(problem=problem), False
+    args, interrupted, costs, creeping = run.args._replace(problem=problem), False, [], False
     try:
-        while int(state.trials) < run.wanted.max_iterations and int(state.status) == solver.RUNNING:
+        while int(state.trials) < run.wanted.max_iterations and int(state.status) == solver.RUNNING and not creeping:
             before = int(state.accepted)
             unknowns, state = solver.run(bundle, unknowns, args, state, 1, optimised=run.optimised)
+            if int(state.trials) == 1 and not np.isfinite(float(state.initial_cost)):
+                require_finite_start(run.block, run.plan, unknowns, args.problem)
             accepted = int(state.accepted) > before
             if run.wanted.progress is not None:
                 run.wanted.progress(_progress(run.block, state, accepted))
             if keeper is not None and (accepted or int(state.status) != solver.RUNNING):
                 keeper.keep(restored_unknowns(run.plan, unknowns), state)
+            if accepted:
+                costs.append(float(state.cost))
+                creeping = is_creeping(run.block, costs)
     except KeyboardInterrupt:
         if jax.process_count() > 1:
             raise  # the others would wait for this one for ever
         interrupted = True
     state = jax.tree.map(lambda x: on_device(on_host(x)), state)
     status = Status.INTERRUPTED if interrupted else _STATUS[int(state.status)]
+    if creeping and status is Status.MAXIMUM_ITERATIONS:
+        status = Status.CREEPING
     return unknowns, _iterations(state, on_device(int(status)))
+
+
+def is_creeping(block: Block, costs: list[float]) -> bool:
+    """Whether the last steps only follow a weak direction of the datum: v^T P v falls by less than one standard
+    deviation of an unknown would make it fall, and control alone leaves the direction without any use."""
+    if len(costs) <= CREEPING_STEPS or len(costs) % CREEPING_STEPS:
+        return False
+    fallen, variance = 2 * (costs[-1 - CREEPING_STEPS] - costs[-1]), 2 * costs[-1] / max(block.redundancy, 1)
+    return fallen < variance and bool(weak_datum(block, float(np.sqrt(variance))))
 
 
 def _iterations(state: State, status: Array) -> Iterations:

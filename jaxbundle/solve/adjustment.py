@@ -30,6 +30,7 @@ class Status(IntEnum):
     DIVERGED = 3
     STALLED = 4
     INTERRUPTED = 5
+    CREEPING = 6
 
     @property
     def words(self) -> str:
@@ -40,6 +41,10 @@ class Status(IntEnum):
             Status.SINGULAR: "ended at a singular normal matrix, not converged",
             Status.DIVERGED: "diverged",
             Status.STALLED: "ended where no step reduces the residuals any more, not converged",
+            Status.CREEPING: (
+                "ended where unknowns that are hardly determined still move and the residuals no longer change,"
+                " not converged"
+            ),
             Status.INTERRUPTED: "was interrupted, not converged: the last accepted unknowns are kept",
         }[self]
 

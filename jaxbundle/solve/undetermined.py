@@ -6,7 +6,7 @@ pivots of their own 3 x 3 equations. Similarity transformations of the whole blo
     c^T G^T S G c / c^T G^T D G c        G: such transformations of every part; S reduced equations, D = diag(N)
 
 The rest: by the eigenvectors of S, scaled to the unit diagonal of N. The first and the last depend on where the
-unknowns are, so they are told of a minimum only; a similarity transformation leaves all rays alone wherever it is tried.
+unknowns are, so they are told of a minimum only; a similarity transformation leaves all rays alone anywhere.
 """
 
 from typing import NamedTuple
@@ -20,11 +20,13 @@ from jaxbundle.block.block import Block, Structure
 from jaxbundle.block.findings import Finding, Kind, Subject
 from jaxbundle.block.parts import parts_of
 from jaxbundle.normals.arrange import Arranged, Arrangement, Problem
-from jaxbundle.normals.inspection import WEAKEST_SHARE, Inspection
+from jaxbundle.normals.inspection import WEAKEST_SHARE, Inspection, reduced_products
+from jaxbundle.normals.kept_vector import KeptVector
 from jaxbundle.normals.reduced_system import ReducedSystem
 from jaxbundle.normals.vector import NormalVector
 from jaxbundle.numerics.compilation import Compiled
-from jaxbundle.numerics.host import on_host
+from jaxbundle.numerics.host import on_device, on_host
+from jaxbundle.numerics.shapes import grid_size
 from jaxbundle.solve.free_network import similarities
 from jaxbundle.solve.similarity_findings import Gauge, gauge_findings, listed
 
@@ -64,9 +66,12 @@ class Scaled(NamedTuple):
     system: ReducedSystem
     pair: Int[np.ndarray, "pair 2"]
     root: Float[np.ndarray, " kept"]
+    end: End
 
     def product(self, x: Float[np.ndarray, "kept k"]) -> Float[np.ndarray, "kept k"]:
         """S x."""
+        if self.end.plan.shape.implicit:
+            return self._by_passes(x)
         system, (images, d) = self.system, self.system.diagonal.shape
         used = self.pair[:, 0] < images
         (i, j), blocks = self.pair[used].T, np.asarray(system.pool)[used]
@@ -78,6 +83,18 @@ class Scaled(NamedTuple):
         np.add.at(out, j[other], np.einsum("ped,pek->pdk", blocks[other], at[i[other]]))
         of_border = np.einsum("idb,idk->bk", coupling, at) + np.asarray(system.border) @ border
         return np.concatenate([out.reshape(images * d, -1), of_border])
+
+    def _by_passes(self, x: Float[np.ndarray, "kept k"]) -> Float[np.ndarray, "kept k"]:
+        """S x where S is not formed: one pass through the tiles for each column."""
+        images, d = self.system.diagonal.shape
+        padded = np.zeros((grid_size(x.shape[1]), len(x)))
+        padded[: x.shape[1]] = x.T
+        vectors = KeptVector(
+            on_device(padded[:, : images * d].reshape(-1, images, d)), on_device(padded[:, images * d :])
+        )
+        found = _reduced_products(self.end.arranged, self.end.problem, vectors, optimised=False)
+        both = np.concatenate([on_host(found.images).reshape(len(padded), -1), on_host(found.border)], 1)
+        return both[: x.shape[1]].T
 
     def matrix(self) -> Float[np.ndarray, "kept kept"]:
         """S scaled to the unit diagonal of N; held unknowns have a unit row."""
@@ -93,11 +110,11 @@ def undetermined(end: End, found: Inspection, converged: bool) -> Undetermined:
     soft = found.softest is not None and not float(found.softest.share) > WEAKEST_SHARE
     if np.all(kept > WEAKEST_SHARE) and not soft:
         return Undetermined(loose, loose_directions) if converged else Undetermined()
-    scaled = _scaled(found.system, plan)
+    scaled = _scaled(found.system, end)
     finite = np.isfinite(np.asarray(found.system.pool)[scaled.pair[:, 0] < scaled.system.diagonal.shape[0]]).all()
     gauge, findings, directions = np.zeros((len(scaled.root), 0)), [], 0
-    if finite and (plan.shape.implicit or np.isfinite(scaled.root).all()):
-        gauge, findings = _gauge(end, scaled)
+    if finite and np.isfinite(scaled.root).all():
+        gauge, findings = _gauge(end, scaled, converged)
         directions = gauge.shape[1]
     if converged:
         others, count = _others(structure, plan, scaled, found, gauge)
@@ -118,10 +135,17 @@ def _loose_points(structure: Structure, plan: Arrangement, found: Inspection) ->
     )
 
 
-def _scaled(system: ReducedSystem, plan: Arrangement) -> Scaled:
+def _scaled(system: ReducedSystem, end: End) -> Scaled:
     free = np.concatenate([np.asarray(system.free).ravel(), np.asarray(system.border_free)])
     diagonal = np.concatenate([np.asarray(system.diagonal).ravel(), np.asarray(system.border_diagonal)])
-    return Scaled(system, np.asarray(plan.reduced.pair), np.sqrt(np.where(free & (diagonal > 0), diagonal, 0.0)))
+    return Scaled(
+        system, np.asarray(end.plan.reduced.pair), np.sqrt(np.where(free & (diagonal > 0), diagonal, 0.0)), end
+    )
+
+
+@Compiled
+def _reduced_products(arranged: Arranged, p: Problem, vectors: KeptVector) -> KeptVector:
+    return reduced_products(arranged, p, vectors)
 
 
 @Compiled
@@ -129,13 +153,14 @@ def _similarities(arranged: Arranged, p: Problem) -> NormalVector:
     return similarities(arranged, p, 7)
 
 
-def _gauge(end: End, scaled: Scaled) -> tuple[Float[np.ndarray, "kept direction"], list[Finding]]:
+def _gauge(end: End, scaled: Scaled, converged: bool) -> tuple[Float[np.ndarray, "kept direction"], list[Finding]]:
     """Similarity transformations of the block and of its parts that no observation notices, orthonormal and scaled."""
-    plan = end.plan
+    plan, parts = end.plan, parts_of(end.block.structure)
+    if len(parts) == 1 and not converged:
+        return np.zeros((len(scaled.root), 0)), []  # control has been looked at before the start
     g = _similarities(end.arranged, end.problem, optimised=False)
     of_images, of_border = np.asarray(g.images), np.asarray(g.border)
     whole = np.concatenate([of_images.reshape(7, -1), of_border], 1).T
-    parts = parts_of(end.block.structure)
     own = _null_combinations(scaled, whole, plan)
     radius = float(np.sqrt(np.mean(np.sum(np.asarray(end.arranged.images.centre) ** 2, 0))))
     if len(parts) == 1:
@@ -157,6 +182,8 @@ def _gauge(end: End, scaled: Scaled) -> tuple[Float[np.ndarray, "kept direction"
         gauge = Gauge(own[:7], (own[:7],), parts[:1], end.origin, radius)
         return _orthonormal(scaled, whole, own, plan), gauge_findings(end.block, gauge)
     by_part = tuple(combined[7 * k : 7 * k + 7] for k in range(len(parts)))
+    if end.block.structure.datum.kind in ("minimal", "inner"):
+        by_part = tuple(c - by_part[0] for c in by_part)  # what the parts do in common is the choice of the datum
     gauge = Gauge(own[:7], by_part, parts, end.origin, radius)
     return _orthonormal(scaled, both, combined, plan), gauge_findings(end.block, gauge)
 
