@@ -18,60 +18,30 @@ of points and stations, not at approximate ones: whether control lies on a line 
 from dataclasses import dataclass
 from typing import NamedTuple
 
-import equinox as eqx
 import jax
 import jax.numpy as jnp
 import numpy as np
 from jaxtyping import Array, Bool, Float, Int
 
 from jaxbundle.block.block import Block
+from jaxbundle.block.observed_places import frame_of, observed_places
 from jaxbundle.block.problems import Problem
 from jaxbundle.block.residuals import Group, Observations, group_residuals, observations_of, weighted
+from jaxbundle.block.similarity_defect import (
+    RANK_TOLERANCE,
+    SimilarityDefect,
+    displacements,
+    null_space_of,
+    similarity_defect,
+)
 from jaxbundle.block.unknowns import Unknowns, unknowns_of
 from jaxbundle.geometry import rotation
 from jaxbundle.numerics.compilation import Compiled
-from jaxbundle.numerics.host import on_device, on_host
+from jaxbundle.numerics.host import on_device
 from jaxbundle.numerics.shapes import grid_size
 
-RANK_TOLERANCE = 1e-8  # singular values are of order 1 for control spread over the block
 AT_REST = 1e-6  # of the radius: a place that a transformation leaves where it is
 MOST_NAMED = 3
-
-
-Direction = tuple[float, float, float]
-
-
-@dataclass(frozen=True)
-class SimilarityDefect:
-    """Which of the seven parameters of a similarity transformation are undetermined, and in which directions.
-
-    `origin`: directions of the position; `axes`: directions of the axes of rotation, each with combinations of the
-    position; `scale`: the scale, with combinations of the others.
-    """
-
-    origin: tuple[Direction, ...] = ()
-    axes: tuple[Direction, ...] = ()
-    scale: bool = False
-
-    @property
-    def count(self) -> int:
-        """Number of undetermined parameters."""
-        return len(self.origin) + len(self.axes) + self.scale
-
-    @property
-    def words(self) -> str:
-        """The undetermined parameters in words."""
-        if self.count == 7:
-            return "origin, axes and scale"
-        if len(self.origin) == 3:
-            words = ["the origin"]
-        else:
-            words = [f"the position along {_axis(direction)}" for direction in self.origin]
-        if len(self.axes) == 1:
-            words.append(f"the rotation about an axis parallel to {_axis(self.axes[0])}")
-        elif self.axes:
-            words.append("all three rotations" if len(self.axes) == 3 else "two of the three rotations")
-        return ", ".join([*words, *(["the scale"] if self.scale else [])])
 
 
 @dataclass(frozen=True)
@@ -99,14 +69,6 @@ class DatumDefect:
         own = self.count - self.similarity.count
         of_block = [f"{own} of the parameters"] if self.parameters and own > 0 else []
         return ", ".join([*([self.similarity.words] if self.similarity.count else []), *of_block])
-
-
-class Frame(NamedTuple):
-    """The block about its centre, what is observed at its observed place; `radius` is the unit of lengths."""
-
-    block: Block
-    centre: Float[np.ndarray, "3"]
-    radius: float
 
 
 def transformed(unknowns: Unknowns, parameters: Float[Array, "7"], radius: Array) -> Unknowns:
@@ -166,20 +128,6 @@ def _padded_indices(mask: Bool[np.ndarray, " entity"]) -> Int[Array, " padded"]:
     return on_device(padded, np.int32)
 
 
-def _axis(direction: Direction) -> str:
-    direction = np.array(direction) / np.linalg.norm(direction)
-    k = int(np.argmax(np.abs(direction)))
-    if abs(direction[k]) > 0.999:
-        return "XYZ"[k]
-    return "({:.2f}, {:.2f}, {:.2f})".format(*np.round(direction * np.sign(direction[k]), 2) + 0.0)
-
-
-def _null_space(matrix: Float[np.ndarray, "row column"]) -> Float[np.ndarray, "column defect"]:
-    columns = matrix.shape[1]
-    _, singular, vt = np.linalg.svd(np.concatenate([matrix, np.zeros((columns, columns))]), full_matrices=False)
-    return vt[singular <= RANK_TOLERANCE].T
-
-
 class DatumEquations(NamedTuple):
     """Rows of held elements and of observations by (t, r, m) and the block's parameters; which of these are free."""
 
@@ -231,57 +179,10 @@ def null_space(block: Block) -> Float[np.ndarray, "column defect"]:
     # a parameter counts in its own unit: its column is brought to the length of those of the seven
     length = np.concatenate([np.ones(7), np.linalg.norm(rows[:, 7:], axis=0)])
     scale = np.where(free & (length > 0), 1 / np.where(length > 0, length, 1.0), 1.0)
-    found = _null_space((rows * scale)[:, free])
+    found = null_space_of((rows * scale)[:, free])
     directions = np.zeros((len(free), found.shape[1]))
     directions[free] = found
     return directions * scale[:, None]
-
-
-def frame_of(block: Block) -> Frame:
-    """The block with observed coordinates in place of approximate ones, about the centre of what is observed.
-
-    Centre and radius are medians of the coordinates that carry the datum, of all where these are fewer than two places:
-    a wild approximate value moves neither.
-    """
-    points, centres, carrying = _observed_places(block)
-    everything = np.concatenate([points, centres])
-    everything = everything[np.isfinite(everything).all(1)]
-    chosen = carrying if len(np.unique(carrying, axis=0)) > 1 else everything
-    centre = np.median(chosen, 0) if len(chosen) else np.zeros(3)
-    radius = 0.0
-    for places in (chosen, everything):
-        distances = np.linalg.norm(places - centre, axis=1)
-        radius = radius or float(np.median(distances)) if len(places) else radius
-        radius = radius or float(distances.max(initial=0.0))
-    placed = eqx.tree_at(
-        lambda b: (b.object_points, b.exterior.projection_centre), block, (on_device(points), on_device(centres))
-    )
-    return Frame(placed.moved(-centre), centre, radius or 1.0)
-
-
-def _observed_places(block: Block) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
-    """Points and projection centres, observed coordinates in place of approximate ones; the places that carry the
-    datum: all coordinates of a point or a station that is observed or held."""
-    structure = block.structure
-    places = {"point": np.array(block.object_points), "image": np.array(block.exterior.projection_centre)}
-    carrying = {"point": ~structure.point_free, "image": ~structure.exterior_free[:, :3]}
-    for group in block.groups:
-        kind = group.structure.kind
-        if kind.in_object_system:
-            touched = next(k for k, entity in enumerate(kind.touches) if entity in places)
-            member, component = np.nonzero(group.structure.observed)
-            entity = group.structure.indices[member, touched]
-            free = ~carrying[kind.touches[touched]][entity, component]
-            values = on_host(group.values)[member, component]
-            places[kind.touches[touched]][entity[free], component[free]] = values[free]
-    for group in block.groups:
-        kind = group.structure.kind
-        if kind.in_object_system:
-            touched = next(k for k, entity in enumerate(kind.touches) if entity in places)
-            member, component = np.nonzero(group.structure.observed)
-            carrying[kind.touches[touched]][group.structure.indices[member, touched], component] = True
-    found = [places[k][carrying[k].all(1)] for k in places]
-    return places["point"], places["image"], np.concatenate(found)
 
 
 def datum_defect(block: Block) -> DatumDefect:
@@ -316,24 +217,6 @@ def sensitivity(block: Block, elements: list[tuple[int, int]]) -> Float[np.ndarr
     return derivatives @ left[:, size > RANK_TOLERANCE]
 
 
-def displacements(
-    datum: Float[np.ndarray, "7 defect"], places: Float[np.ndarray, "place 3"], radius: float
-) -> Float[np.ndarray, "defect place 3"]:
-    """How places, from the centre of the block, move under similarity transformations."""
-    t, r, m = datum[:3].T[:, None], datum[3:6].T[:, None], datum[6][:, None, None]
-    return t * radius + np.cross(r, places) + m * places
-
-
-def observed_places(block: Block) -> list[tuple[str, str, Float[np.ndarray, "3"]]]:
-    """Points and images with a coordinate that is observed or held: "point" or "image", its name, and its place."""
-    structure = block.structure
-    points, centres, _ = _observed_places(block)
-    found = []
-    for entity, places, names in (("point", points, structure.point_names), ("image", centres, structure.image_names)):
-        found += [(entity, names[k], places[k]) for k in sorted(_observed_entities(block, entity))]
-    return found
-
-
 def _moved_and_fixed(block: Block, datum: Float[np.ndarray, "7 defect"]) -> tuple[tuple[str, ...], tuple[str, ...]]:
     """The object points that the undetermined directions move most, and observed points and stations that rest."""
     frame, structure = frame_of(block), block.structure
@@ -347,44 +230,6 @@ def _moved_and_fixed(block: Block, datum: Float[np.ndarray, "7 defect"]) -> tupl
         axis=(0, 2),
     )
     return most, tuple(places[k][1] for k in np.flatnonzero(size <= AT_REST * frame.radius))
-
-
-def _observed_entities(block: Block, entity: str) -> set[int]:
-    """Points or images that have a coordinate that is observed or held."""
-    structure = block.structure
-    held = ~structure.point_free if entity == "point" else ~structure.exterior_free[:, :3]
-    found = set(np.flatnonzero(held.any(1)).tolist())
-    for group in block.groups:
-        kind = group.structure.kind
-        if kind.in_object_system and entity in kind.touches:
-            found.update(group.structure.indices[:, kind.touches.index(entity)].tolist())
-    return found
-
-
-def similarity_defect(free: Float[np.ndarray, "7 defect"]) -> SimilarityDefect:
-    """Undetermined combinations of the seven parameters (orthonormal columns), sorted."""
-    if free.shape[1] == 0:
-        return SimilarityDefect()
-    shifts = free @ _null_space(free[3:])  # combinations without rotation and scale
-    rest = free - shifts @ (shifts.T @ free)
-    left, size, _ = np.linalg.svd(rest, full_matrices=False)
-    remaining = left[:, size > RANK_TOLERANCE]
-    turns, size, _ = np.linalg.svd(remaining[3:6], full_matrices=False)
-    turns = turns[:, : int((size > RANK_TOLERANCE).sum())]
-    return SimilarityDefect(_directions(shifts[:3]), _directions(turns), remaining.shape[1] > turns.shape[1])
-
-
-def _directions(columns: Float[np.ndarray, "3 k"]) -> tuple[Direction, ...]:
-    """Unit vectors that span the same space, whatever basis it is given in: the largest coordinate axes first."""
-    left, size, _ = np.linalg.svd(columns, full_matrices=False)
-    left = left[:, size > RANK_TOLERANCE]
-    projector, found = left @ left.T, []
-    for _ in range(left.shape[1]):
-        k = int(np.argmax(np.round(np.diagonal(projector), 6)))
-        direction = projector[:, k] / np.linalg.norm(projector[:, k])
-        found.append(tuple((np.round(direction, 6) + 0.0).tolist()))
-        projector = projector - np.outer(direction, direction)
-    return tuple(found)
 
 
 def _shortened(names: tuple[str, ...]) -> str:

@@ -14,16 +14,10 @@ import numpy as np
 from jaxtyping import Float
 
 from jaxbundle.block.block import Block
-from jaxbundle.block.datum_defect import (
-    Frame,
-    SimilarityDefect,
-    datum_equations,
-    displacements,
-    frame_of,
-    observed_places,
-    similarity_defect,
-)
+from jaxbundle.block.datum_defect import datum_equations
 from jaxbundle.block.findings import Finding, Kind, Severity, Subject
+from jaxbundle.block.observed_places import Frame, frame_of, observed_places
+from jaxbundle.block.similarity_defect import SimilarityDefect, displacements, similarity_defect
 
 LARGEST_ANGLE = np.deg2rad(10.0)  # standard deviation: beyond, propagation of errors of first order is wrong by 1.5 %
 LARGEST_SHARE = 0.1  # standard deviation of a place, of the block's radius: no map of any scale is drawn from it

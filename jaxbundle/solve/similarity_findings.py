@@ -6,9 +6,10 @@ import numpy as np
 from jaxtyping import Float
 
 from jaxbundle.block.block import Block, Structure
-from jaxbundle.block.datum_defect import SimilarityDefect, displacements, observed_places, similarity_defect
 from jaxbundle.block.findings import Finding, Kind, Subject
+from jaxbundle.block.observed_places import observed_places
 from jaxbundle.block.parts import Part
+from jaxbundle.block.similarity_defect import SimilarityDefect, displacements, similarity_defect
 
 SHOWN = 6  # names in a sentence; the subjects have all
 MOVES = 1e-6  # of the largest coefficient: below, a part rests
