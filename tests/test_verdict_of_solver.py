@@ -8,7 +8,7 @@ import jax.numpy as jnp
 import numpy as np
 import pytest
 
-from jaxbundle.block.block import Block, Datum
+from jaxbundle.block.block import Block, Datum, Structure
 from jaxbundle.block.datum import with_datum
 from jaxbundle.block.datum_precision import datum_precision, weak_datum
 from jaxbundle.block.findings import Kind, Severity
@@ -117,7 +117,7 @@ def test_parts_of_a_block():
     block = simulate(1, 2, points_per_image=30).block
     structure = block.structure
 
-    def seen(*points: tuple[int, ...]) -> Block:
+    def seen(*points: tuple[int, ...]) -> Structure:
         image = np.concatenate([np.full(len(p), i) for i, p in enumerate(points)])
         names = tuple(f"i{k}" for k in range(len(points)))
         return dataclasses.replace(

@@ -38,7 +38,7 @@ def parts_of(structure: Structure) -> tuple[Part, ...]:
         if count == groups:
             break
         labels = merged[labels]
-    shared = np.asarray((by_group > 0).sum(0)).ravel() > 1
+    shared = np.asarray(by_group.sum(0)).ravel() > 1
     parts = []
     for group in range(count):
         own = by_group[[group]].nonzero()[1]

@@ -85,8 +85,8 @@ def displacements(
 
 
 def _axis(direction: Direction) -> str:
-    direction = np.array(direction) / np.linalg.norm(direction)
-    k = int(np.argmax(np.abs(direction)))
-    if abs(direction[k]) > 0.999:
+    unit = np.array(direction) / np.linalg.norm(direction)
+    k = int(np.argmax(np.abs(unit)))
+    if abs(unit[k]) > 0.999:
         return "XYZ"[k]
-    return "({:.2f}, {:.2f}, {:.2f})".format(*np.round(direction * np.sign(direction[k]), 2) + 0.0)
+    return "({:.2f}, {:.2f}, {:.2f})".format(*np.round(unit * np.sign(unit[k]), 2) + 0.0)

@@ -10,7 +10,7 @@ determine least; a search direction without curvature shows itself before. What 
 """
 
 from functools import partial
-from typing import NamedTuple
+from typing import Any, NamedTuple
 
 import jax
 import jax.numpy as jnp
@@ -70,7 +70,7 @@ def inspection(unknowns: Arranged, p: Problem) -> Inspection:
 
 def inspection_parts() -> Inspection:
     """How an inspection lies on the devices."""
-    of_tiles = jax.sharding.PartitionSpec(AXIS)
+    of_tiles: Any = jax.sharding.PartitionSpec(AXIS)
     return Inspection(EVERYWHERE, EVERYWHERE, of_tiles, EVERYWHERE, EVERYWHERE, EVERYWHERE)
 
 

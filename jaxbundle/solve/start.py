@@ -3,7 +3,7 @@
 from collections.abc import Iterator
 
 import numpy as np
-from jaxtyping import Array, Float
+from jaxtyping import Array, Bool, Float
 
 from jaxbundle.block.block import Block, Structure
 from jaxbundle.block.problems import BlockError, Problem
@@ -48,8 +48,8 @@ def require_finite_start(block: Block, plan: Arrangement, unknowns: Arranged, p:
     raise BlockError(problems or [Problem("v^T P v of the approximate values is not a finite number", cure)])
 
 
-def _is_bad(residuals: Float[np.ndarray, "row component"]) -> np.ndarray:
-    return ~(np.abs(residuals) <= LARGEST).all(1)
+def _is_bad(residuals: Float[np.ndarray, "row component"]) -> Bool[np.ndarray, " row"]:
+    return np.logical_not(np.all(np.abs(residuals) <= LARGEST, axis=1))
 
 
 def _size(residuals: Float[np.ndarray, " component"]) -> str:
