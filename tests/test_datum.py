@@ -92,6 +92,23 @@ def test_strip_with_observed_stations_rolls_about_its_line():
     assert datum_defect(with_stations(free_network(2))).count == 0
 
 
+def test_the_datum_is_judged_where_it_was_observed():
+    """Not where it is approximately: approximate values on a line or at one place hide nothing and refuse nothing."""
+    strip = with_stations(free_network())
+    beside = eqx.tree_at(lambda b: b.groups[0].values, strip, strip.groups[0].values.at[1, 1].add(2.0))
+    assert datum_defect(beside).count == 0
+    rough = eqx.tree_at(
+        lambda b: b.exterior.projection_centre, strip, strip.exterior.projection_centre.at[1, 1].add(2.0)
+    )
+    defect = datum_defect(rough)
+    assert (defect.count, defect.similarity.axes, defect.scale) == (1, ((1.0, 0.0, 0.0),), False)
+    assert defect.fixed == strip.structure.image_names
+    spread = placed(free_network(), control((0, 0, 0), (800, 0, 0), (400, 500, 0)))
+    for value in (0.0, 1e30):
+        wild = eqx.tree_at(lambda b: b.object_points, spread, jnp.full_like(spread.object_points, value))
+        assert datum_defect(wild).count == 0
+
+
 def test_a_large_origin_changes_nothing():
     block = placed(free_network(), control((0, 0, 0), (800, 0, 0)))
     moved = block.moved(jnp.array([5e5, 5e6, 1e3]))

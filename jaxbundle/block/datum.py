@@ -84,7 +84,7 @@ def _minimal(block: Block) -> list[tuple[int, int]]:
 def _require_inner(defect: DatumDefect, count: int) -> None:
     """Raises BlockError where observations leave less open than origin and axes, or parameters move with them."""
     cure = 'leave out the observations that do so, or give type = "minimal" in [datum]'
-    if count < 6 or (count == 6 and "scale" in defect.words):
+    if count < 6 or (count == 6 and defect.scale):
         what = f"a free network needs origin and axes to be open, and the observations leave {defect.words}"
     elif defect.parameters:
         what = (

@@ -11,10 +11,12 @@ shift of the navigation data, which can undo what the transformation does to the
 
     A = [dv/d(t, r, m)  dv/dp]        defect = 7 + number of p - rank A
 
-The derivatives come from autodiff, whatever kinds of observation there are.
+The derivatives come from autodiff, whatever kinds of observation there are. They are taken at the observed coordinates
+of points and stations, not at approximate ones: whether control lies on a line is a property of the control.
 """
 
 from dataclasses import dataclass
+from typing import NamedTuple
 
 import jax
 import jax.numpy as jnp
@@ -23,29 +25,51 @@ from jaxtyping import Array, Bool, Float, Int
 
 from jaxbundle.block.block import Block
 from jaxbundle.block.given import require_a
+from jaxbundle.block.observed_places import frame_of, observed_places
 from jaxbundle.block.problems import Problem
-from jaxbundle.block.residuals import Group, Observations, group_residuals, observations_of
+from jaxbundle.block.residuals import Group, Observations, group_residuals, observations_of, weighted
+from jaxbundle.block.similarity_defect import (
+    RANK_TOLERANCE,
+    SimilarityDefect,
+    displacements,
+    null_space_of,
+    similarity_defect,
+)
 from jaxbundle.block.unknowns import Unknowns, unknowns_of
 from jaxbundle.geometry import rotation
 from jaxbundle.numerics.compilation import Compiled
 from jaxbundle.numerics.host import on_device
 from jaxbundle.numerics.shapes import grid_size
 
-RANK_TOLERANCE = 1e-8  # singular values are of order 1 for control spread over the block
+AT_REST = 1e-6  # of the radius: a place that a transformation leaves where it is
 MOST_NAMED = 3
 
 
 @dataclass(frozen=True)
 class DatumDefect:
-    """Number of undetermined datum parameters and what they are in words.
+    """What the observations leave undetermined of the datum; `count` includes combinations of the block's parameters.
 
-    `parameters`: those of the block's own parameters that take part; `moves`: the points that move most.
+    `parameters`: those of the block's own parameters that take part; `moves`: the points that move most; `fixed`:
+    observed points and images that do not move at all, as control points on the axis of a rotation.
     """
 
     count: int
-    words: str
+    similarity: SimilarityDefect
     parameters: tuple[str, ...] = ()
     moves: tuple[str, ...] = ()
+    fixed: tuple[str, ...] = ()
+
+    @property
+    def scale(self) -> bool:
+        """Whether the scale is undetermined."""
+        return self.similarity.scale
+
+    @property
+    def words(self) -> str:
+        """The undetermined parameters in words."""
+        own = self.count - self.similarity.count
+        of_block = [f"{own} of the parameters"] if self.parameters and own > 0 else []
+        return ", ".join([*([self.similarity.words] if self.similarity.count else []), *of_block])
 
 
 def transformed(unknowns: Unknowns, parameters: Float[Array, "7"], radius: Array) -> Unknowns:
@@ -63,25 +87,32 @@ def transformed(unknowns: Unknowns, parameters: Float[Array, "7"], radius: Array
 
 @Compiled
 def _datum_rows(
-    unknowns: Unknowns, observations: Observations, fixed: Int[Array, " point"], held: Int[Array, " image"]
-) -> Float[Array, "row column"]:
-    """Derivatives of what carries the datum by the seven parameters and the block's own, in units of its radius.
+    unknowns: Unknowns,
+    observations: Observations,
+    fixed: Int[Array, " point"],
+    held: Int[Array, " image"],
+    radius: Float[Array, ""],
+) -> tuple[Float[Array, "row column"], Float[Array, "row column"]]:
+    """Derivatives of what carries the datum by the seven parameters and the block's own: of held elements and of
+    observations in units of the block's radius, and of observations with their weights.
 
     `fixed`, `held`: points and images of which an element is held; what of them is free counts nothing.
     """
-    radius = jnp.sqrt(jnp.mean(jnp.sum(unknowns.points**2, 0)))
     o = observations
 
-    def carried(changes: Float[Array, " column"]) -> list[Float[Array, " row"]]:
+    def carried(changes: Float[Array, " column"]) -> tuple[list[Float[Array, " row"]], ...]:
         moved = transformed(unknowns, changes[:7], radius)
         moved = Unknowns(moved.rotation, moved.centre, moved.interior, moved.parameters + changes[7:], moved.points)
         angles = jnp.stack(o.system.angles_from_rotation(tuple(moved.rotation[:, held])))
         exterior = jnp.concatenate([moved.centre[:, held] / radius, angles])
         rows = [moved.points[:, fixed] * ~o.point_free[:, fixed] / radius, exterior * ~o.exterior_free[:, held]]
-        rows += [group_residuals(moved, group) * _is_observed(group) / radius for group in o.groups]
-        return [row.ravel() for row in rows]
+        residuals = [group_residuals(moved, group) for group in o.groups]
+        rows += [v * _is_observed(group) / radius for v, group in zip(residuals, o.groups, strict=True)]
+        of_groups = [weighted(v, group).ravel() for v, group in zip(residuals, o.groups, strict=True)]
+        return [row.ravel() for row in rows], of_groups
 
-    return jnp.concatenate(jax.jacfwd(carried)(jnp.zeros(7 + unknowns.parameters.shape[0])))
+    rows, of_groups = jax.jacfwd(carried)(jnp.zeros(7 + unknowns.parameters.shape[0]))
+    return jnp.concatenate(rows), jnp.concatenate(of_groups) if of_groups else jnp.zeros((0, rows[0].shape[1]))
 
 
 def _is_observed(group: Group) -> Bool[Array, "component member"]:
@@ -98,44 +129,58 @@ def _padded_indices(mask: Bool[np.ndarray, " entity"]) -> Int[Array, " padded"]:
     return on_device(padded, np.int32)
 
 
-def _axis(direction: Float[np.ndarray, "3"]) -> str:
-    direction = direction / np.linalg.norm(direction)
-    k = int(np.argmax(np.abs(direction)))
-    if abs(direction[k]) > 0.999:
-        return "XYZ"[k]
-    return "({:.2f}, {:.2f}, {:.2f})".format(*np.round(direction * np.sign(direction[k]), 2) + 0.0)
+class DatumEquations(NamedTuple):
+    """Rows of held elements and of observations by (t, r, m) and the block's parameters; which of these are free."""
+
+    fixed: Float[np.ndarray, "held column"]
+    observed: Float[np.ndarray, "row column"]
+    weighted: Float[np.ndarray, "row column"]
+    free: Bool[np.ndarray, " column"]
 
 
-def _null_space(matrix: Float[np.ndarray, "row column"]) -> Float[np.ndarray, "column defect"]:
-    columns = matrix.shape[1]
-    _, singular, vt = np.linalg.svd(np.concatenate([matrix, np.zeros((columns, columns))]), full_matrices=False)
-    return vt[singular <= RANK_TOLERANCE].T
+def datum_equations(block: Block) -> DatumEquations | None:
+    """What carries the datum, at the observed places; None where nothing is observed or held.
 
-
-def null_space(block: Block) -> Float[np.ndarray, "column defect"]:
-    """Directions of (t, r, m) and of the block's parameters that no observation and no held element notices."""
+    A row without a finite derivative, as the azimuth of a plumb line, tells nothing: it is 0.
+    """
     structure = block.structure
     fixed, held = (~structure.point_free).sum(1) > 0, (~structure.exterior_free).sum(1) > 0
     free = np.concatenate([np.ones(7, bool), structure.parameter_free])
     if not (fixed.any() or held.any() or block.groups):
-        return np.eye(len(free))[:, free]
-    centred = block.moved(-np.mean(np.asarray(block.object_points), 0))
-    rows = np.asarray(
-        _datum_rows(
-            unknowns_of(centred),
-            observations_of(centred),
-            _padded_indices(fixed),
-            _padded_indices(held),
-            optimised=False,
+        return None
+    frame = frame_of(block)
+    rows, of_groups = (
+        np.where(np.isfinite(x).all(1, keepdims=True), x, 0.0)
+        for x in map(
+            np.asarray,
+            _datum_rows(
+                unknowns_of(frame.block),
+                observations_of(frame.block),
+                _padded_indices(fixed),
+                _padded_indices(held),
+                on_device(frame.radius),
+                optimised=False,
+            ),
         )
     )
+    count = len(rows) - len(of_groups)
+    return DatumEquations(rows[:count], rows[count:], of_groups, free)
+
+
+def null_space(block: Block) -> Float[np.ndarray, "column defect"]:
+    """Directions of (t, r, m) and of the block's parameters that no observation and no held element notices."""
+    equations = datum_equations(block)
+    if equations is None:
+        free = np.concatenate([np.ones(7, bool), block.structure.parameter_free])
+        return np.eye(len(free))[:, free]
+    free, rows = equations.free, np.concatenate([equations.fixed, equations.observed])
     # an angle and a length count alike: what is not mere rounding is brought to the length 1
     size = np.linalg.norm(rows, axis=1, keepdims=True)
     rows = np.where(size > RANK_TOLERANCE * size.max(initial=0.0), rows / np.where(size > 0, size, 1.0), 0.0)
     # a parameter counts in its own unit: its column is brought to the length of those of the seven
     length = np.concatenate([np.ones(7), np.linalg.norm(rows[:, 7:], axis=0)])
     scale = np.where(free & (length > 0), 1 / np.where(length > 0, length, 1.0), 1.0)
-    found = _null_space((rows * scale)[:, free])
+    found = null_space_of((rows * scale)[:, free])
     directions = np.zeros((len(free), found.shape[1]))
     directions[free] = found
     return directions * scale[:, None]
@@ -150,11 +195,8 @@ def datum_defect(block: Block) -> DatumDefect:
     own = tuple(name for name, part in zip(names, taking_part, strict=True) if part)
     left, size, _ = np.linalg.svd(directions[:7], full_matrices=False)
     datum = left[:, : int((size > RANK_TOLERANCE).sum())]
-    words = _words(datum)
-    if own and directions.shape[1] > datum.shape[1]:
-        words = ", ".join([*([words] if words else []), f"{directions.shape[1] - datum.shape[1]} of the parameters"])
-    moves = () if datum.shape[1] in (0, 7) else _most_moved(block, datum)
-    return DatumDefect(directions.shape[1], words, own, moves)
+    moves, fixed = _moved_and_fixed(block, datum) if datum.shape[1] not in (0, 7) else ((), ())
+    return DatumDefect(directions.shape[1], similarity_defect(datum), own, moves, fixed)
 
 
 def sensitivity(block: Block, elements: list[tuple[int, int]]) -> Float[np.ndarray, "element defect"]:
@@ -163,9 +205,8 @@ def sensitivity(block: Block, elements: list[tuple[int, int]]) -> Float[np.ndarr
     Coordinates in units of the block's radius, angles in radians.
     """
     directions = null_space(block)
-    centred = block.moved(-np.mean(np.asarray(block.object_points), 0))
-    unknowns, system = unknowns_of(centred), block.structure.rotation_system
-    radius = jnp.sqrt(jnp.mean(jnp.sum(unknowns.points**2, 0)))
+    frame = frame_of(block)
+    unknowns, system, radius = unknowns_of(frame.block), block.structure.rotation_system, on_device(frame.radius)
     images, components = np.array(elements).T
 
     def changed(parameters: Float[Array, "7"]) -> Float[Array, " element"]:
@@ -178,47 +219,32 @@ def sensitivity(block: Block, elements: list[tuple[int, int]]) -> Float[np.ndarr
     return derivatives @ left[:, size > RANK_TOLERANCE]
 
 
-def _most_moved(block: Block, datum: Float[np.ndarray, "7 defect"]) -> tuple[str, ...]:
-    """The object points that the undetermined directions move most."""
-    x = np.asarray(block.object_points).T - np.mean(np.asarray(block.object_points), 0)[:, None]
-    x = x / np.sqrt(np.mean(np.sum(x**2, 0)))
-    moved = np.zeros(x.shape[1])
-    for direction in datum.T:
-        t, r, m = direction[:3], direction[3:6], direction[6]
-        moved += np.sum((t[:, None] + np.cross(r, x.T).T + m * x) ** 2, 0)
-    return tuple(block.structure.point_names[p] for p in np.argsort(-moved, kind="stable")[:MOST_NAMED])
+def _moved_and_fixed(block: Block, datum: Float[np.ndarray, "7 defect"]) -> tuple[tuple[str, ...], tuple[str, ...]]:
+    """The object points that the undetermined directions move most, and observed points and stations that rest."""
+    frame, structure = frame_of(block), block.structure
+    points = np.asarray(frame.block.object_points)
+    moved = np.linalg.norm(displacements(datum, points, frame.radius), axis=(0, 2))
+    moved = np.where(np.isfinite(moved), moved, -1.0)
+    most = tuple(structure.point_names[p] for p in np.argsort(-moved, kind="stable")[:MOST_NAMED])
+    places = observed_places(block)
+    size = np.linalg.norm(
+        displacements(datum, np.array([place for *_, place in places]).reshape(-1, 3) - frame.centre, frame.radius),
+        axis=(0, 2),
+    )
+    return most, tuple(places[k][1] for k in np.flatnonzero(size <= AT_REST * frame.radius))
 
 
-def _words(free: Float[np.ndarray, "7 defect"]) -> str:
-    """The undetermined parameters in words."""
-    if free.shape[1] in (0, 7):
-        return "origin, axes and scale" if free.shape[1] else ""
-    words = []
-    shifts = free @ _null_space(free[3:])  # combinations without rotation and scale
-    if shifts.shape[1] == 3:
-        words.append("the origin")
-    else:
-        words += [f"the position along {_axis(shift[:3])}" for shift in shifts.T]
-    rest = free - shifts @ (shifts.T @ free)
-    left, size, _ = np.linalg.svd(rest, full_matrices=False)
-    remaining = left[:, size > RANK_TOLERANCE]
-    turns, size, _ = np.linalg.svd(remaining[3:6], full_matrices=False)
-    turns = turns[:, : int((size > RANK_TOLERANCE).sum())]
-    if turns.shape[1] == 1:
-        words.append(f"the rotation about an axis parallel to {_axis(turns[:, 0])}")
-    elif turns.shape[1]:
-        words.append("all three rotations" if turns.shape[1] == 3 else "two of the three rotations")
-    if remaining.shape[1] > turns.shape[1]:
-        words.append("the scale")
-    return ", ".join(words)
+def _shortened(names: tuple[str, ...]) -> str:
+    return ", ".join(names[:MOST_NAMED]) + (" ..." if len(names) > MOST_NAMED else "")
 
 
 def insufficient(defect: DatumDefect) -> Problem:
     """The problem of a datum that control determines in part."""
     own = ""
     if defect.parameters:
-        shown = ", ".join(defect.parameters[:MOST_NAMED]) + (" ..." if len(defect.parameters) > MOST_NAMED else "")
-        own = f"; parameters that take part: {shown}"
+        own = f"; parameters that take part: {_shortened(defect.parameters)}"
+    if len(defect.fixed) > 1 and len(defect.similarity.axes) == 1 and defect.count == 1:
+        own += f"; these lie on one line, the axis: {_shortened(defect.fixed)}"
     moves = f"; points that would move most: {', '.join(defect.moves)}" if defect.moves else ""
     cure = (
         "a block needs at least two points with X, Y, Z and a third one with Z that is not on a line with them,"

@@ -174,7 +174,7 @@ def _wrong_elements(block: Block, section: DatumSection | None) -> list[Problem]
     """The problem of inner constraints that name the scale where observations give it, or do not where none does."""
     if section is None or section.elements is None:
         return []
-    open_scale, wanted = "scale" in datum_defect(block).words, "scale" in section.elements
+    open_scale, wanted = datum_defect(block).scale, "scale" in section.elements
     if open_scale == wanted:
         return []
     if wanted:

@@ -101,7 +101,7 @@ def _add_chunk(
         own = dataclasses.replace(part, weights=given.weights)
         linear_there = linear._replace(prior=given.prior)
         e, matrix, (x, y) = cofactors_of_chunk(unknowns, linear_there, p, free, own, given.kept, given.halved, c)
-        return (_by_unknowns(e, x), _by_unknowns(e, y)), point_blocks(e, matrix)[0].reshape(e.factor.shape[0], -1)
+        return (_by_unknowns(e, x), _by_unknowns(e, y)), point_blocks(e, matrix).reshape(e.factor.shape[0], -1)
 
     (q_rows, blocks), (q_moved, blocks_moved) = directional(products, (at,), (moved,))
     chunk = chunk_of(part, c)

@@ -19,6 +19,7 @@ from jaxtyping import Array, Float
 from jaxbundle.normals.arrange import Arranged, Problem
 from jaxbundle.normals.cells import Tiles
 from jaxbundle.normals.eliminate import Eliminated, border_rows, coupling_rows, eliminate, eliminate_chunk
+from jaxbundle.normals.inspection import Inspection, inspected, inspection_parts
 from jaxbundle.normals.leverage import (
     CellProducts,
     KeptCofactors,
@@ -30,33 +31,28 @@ from jaxbundle.normals.leverage import (
 from jaxbundle.normals.partition import local_tiles
 from jaxbundle.normals.point_blocks import PointFactor, backward
 from jaxbundle.normals.products import contracted
-from jaxbundle.normals.reduced_system import ReducedSystem, factorise
 from jaxbundle.normals.reduced_system import cofactors as reduced_cofactors
+from jaxbundle.normals.reduced_system import factorise
 from jaxbundle.normals.step import Linearised, linearise, partition, reduced_system
 from jaxbundle.numerics.devices import AXIS, device_mesh
 
 
 class Cofactors(NamedTuple):
-    """Cofactors in the order of elimination, 0 for what is held; the share of its own normal equation that the
-    elimination left of each unknown (0: undetermined); leverages of all observations, as `weighted_residuals` lists
-    them."""
+    """Cofactors in the order of elimination, 0 for what is held; what the equations tell of the end point; leverages of
+    all observations, as `weighted_residuals` lists them."""
 
     images: Float[Array, "image d d"]
     coupling: Float[Array, "image d border"]
     border: Float[Array, "border border"]
     points: Float[Array, "3 3 tile column"]
-    image_pivots: Float[Array, "image d"]
-    border_pivots: Float[Array, " border"]
-    point_pivots: Float[Array, "tile column"]
-    system: ReducedSystem  # for who asks why a pivot failed
+    inspection: Inspection
     leverages: list[Array]
 
 
 class _OfTiles(NamedTuple):
-    """What the tiles of one device give: points' cofactors, their weakest pivots, and leverages of the cells."""
+    """What the tiles of one device give: points' cofactors and leverages of the cells."""
 
     points: Float[Array, "3 3 tile column"]
-    pivots: Float[Array, "tile column"]
     leverages: list[Array]
 
 
@@ -68,7 +64,7 @@ def cofactors(unknowns: Arranged, p: Problem) -> Cofactors:
     everywhere: Any = PartitionSpec()
     points: Any = PartitionSpec(None, None, AXIS)
     of_tiles: Any = PartitionSpec(AXIS)
-    out = everywhere, everywhere, everywhere, _OfTiles(points, of_tiles, of_tiles)
+    out = everywhere, inspection_parts(), _OfTiles(points, of_tiles)
     unknown_parts, linear_parts, problem_parts = partition(unknowns, linear, p)
     parts = jax.shard_map(
         partial(_on_device, axis=AXIS),
@@ -82,32 +78,31 @@ def cofactors(unknowns: Arranged, p: Problem) -> Cofactors:
 
 def _on_device(
     unknowns: Arranged, linear: Linearised, p: Problem, free: Array, axis: str | None
-) -> tuple[KeptCofactors, tuple[Array, Array], ReducedSystem, _OfTiles]:
+) -> tuple[KeptCofactors, Inspection, _OfTiles]:
     tiles = local_tiles(p.tiles)
-    q, pivots, system = kept_cofactors(unknowns, linear, p, free, tiles, axis)
-    return q, pivots, system, _of_tiles(unknowns, linear, p, free, tiles, q)
+    q, found = kept_cofactors(unknowns, linear, p, free, tiles, axis)
+    return q, found, _of_tiles(unknowns, linear, p, free, tiles, q)
 
 
 def kept_cofactors(
     unknowns: Arranged, linear: Linearised, p: Problem, free: Array, tiles: tuple[Tiles, ...], axis: str | None
-) -> tuple[KeptCofactors, tuple[Array, Array], ReducedSystem]:
-    """Cofactors of the kept unknowns, shares of their pivots, and the reduced equations."""
+) -> tuple[KeptCofactors, Inspection]:
+    """Cofactors of the kept unknowns, and what the equations tell."""
     zero = jnp.zeros(())
-    rays, _ = eliminate(
+    rays, factors = eliminate(
         p.observations, linear.table, unknowns.tiles, linear.prior, free, zero, tiles, p.shape, p.diagonal_pair
     )
-    system = reduced_system(lax.psum(rays, axis) if axis else rays, linear.kept, p).system
-    factor = factorise(p.reduced, system, zero)
+    reduced = reduced_system(lax.psum(rays, axis) if axis else rays, linear.kept, p)
+    factor = factorise(p.reduced, reduced.system, zero)
     found = reduced_cofactors(p.reduced, factor)
     pool = found.pool.at[-1].set(0.0)
     q = KeptCofactors(pool[p.diagonal_pair], pool, found.coupling, found.border)
-    return q, (factor.pivots, factor.border_pivots), system
+    return q, inspected(reduced, factor, factors, unknowns, axis)
 
 
 def _with_others(
     q: KeptCofactors,
-    pivots: tuple[Array, Array],
-    system: ReducedSystem,
+    inspection: Inspection,
     found: _OfTiles,
     unknowns: Arranged,
     linear: Linearised,
@@ -122,7 +117,7 @@ def _with_others(
         group_leverages(group, pairs, flat, linear.turns, o, shape, p.point_column, p.camera_image, q, points)
         for group, pairs in zip(o.groups, p.group_pairs, strict=True)
     ]
-    return Cofactors(q.images, q.coupling, q.border, found.points, *pivots, found.pivots, system, leverages)
+    return Cofactors(q.images, q.coupling, q.border, found.points, inspection, leverages)
 
 
 def _of_tiles(
@@ -138,13 +133,12 @@ def _of_tiles(
         store = lax.dynamic_update_slice(store, rows[0], (rows[1], jnp.zeros_like(rows[1])))
         return store, lax.dynamic_update_index_in_dim(cells, leverages, c, 0)
 
-    store, leverages = jnp.zeros((unknowns.tiles.shape[1], 10 * n)), []
+    store, leverages = jnp.zeros((unknowns.tiles.shape[1], 9 * n)), []
     for part in tiles:
         cells = jnp.zeros(part.weights.shape)
         store, cells = lax.fori_loop(0, part.chunks, partial(do_chunk, part), (store, cells))
         leverages += [cells[None, :, 0], cells[None, :, 1]]
-    points = store[:, : 9 * n].reshape(-1, 3, 3, n).transpose(1, 2, 0, 3)
-    return _OfTiles(points, store[:, 9 * n :], leverages)
+    return _OfTiles(store.reshape(-1, 3, 3, n).transpose(1, 2, 0, 3), leverages)
 
 
 def halved_pool(q: KeptCofactors, p: Problem) -> Float[Array, "pair d d"]:
@@ -164,8 +158,7 @@ def _of_chunk(
 ) -> tuple[tuple[Array, Array], Float[Array, "2 slot n"]]:
     """Rows of the chunk's points and where they begin; leverages of its cells."""
     e, matrix, products = cofactors_of_chunk(unknowns, linear, p, free, part, q, halved, c)
-    blocks, pivot = point_blocks(e, matrix)
-    rows = jnp.concatenate([blocks.reshape(-1, 9 * unknowns.tiles.shape[2]), pivot], 1)
+    rows = point_blocks(e, matrix).reshape(-1, 9 * unknowns.tiles.shape[2])
     return (rows, e.chunk.first_tile), jnp.stack(cell_leverages(e, products))
 
 
@@ -205,16 +198,10 @@ def cofactors_of_chunk(
     return e, matrix, cell_products(e, q, g, border_g, matrix, o.image_camera, shape)
 
 
-def point_blocks(e: Eliminated, c: Float[Array, "tile 3 3 n"]) -> tuple[Float[Array, "tile 3 3 n"], Array]:
-    """L^-T C L^-1 of the points of a chunk, and their smallest pivot's share."""
+def point_blocks(e: Eliminated, c: Float[Array, "tile 3 3 n"]) -> Float[Array, "tile 3 3 n"]:
+    """L^-T C L^-1 of the points of a chunk."""
     n = c.shape[3]
-    number = [e.factor[:, k * n : (k + 1) * n] for k in range(12)]
-    f = PointFactor(*number[:6])
+    f = PointFactor(*(e.factor[:, k * n : (k + 1) * n] for k in range(6)))
     half = [backward(f, (c[:, 0, j], c[:, 1, j], c[:, 2, j])) for j in range(3)]  # columns of L^-T C
     rows = [backward(f, (half[0][i], half[1][i], half[2][i])) for i in range(3)]
-    shares = []
-    for inverse_pivot, diagonal in zip(f[:3], number[9:], strict=True):
-        free = (inverse_pivot != 0) & (diagonal > 0)
-        shares.append(jnp.where(free, 1 / jnp.where(free, inverse_pivot**2 * diagonal, 1.0), 1.0))
-    pivot = jnp.minimum(jnp.minimum(shares[0], shares[1]), shares[2])
-    return jnp.stack([jnp.stack(row, 1) for row in rows], 1), pivot
+    return jnp.stack([jnp.stack(row, 1) for row in rows], 1)

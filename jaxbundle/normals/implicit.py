@@ -8,6 +8,7 @@ one an image and one for the whole border.
 For blocks whose factor would be too large or too full. It gives no cofactors.
 """
 
+from collections.abc import Callable
 from typing import NamedTuple
 
 import equinox as eqx
@@ -45,25 +46,32 @@ class ImplicitEquations(NamedTuple):
 
     def solve(self, right: KeptVector) -> KeptVector:
         """S^-1 r."""
-        factor = self._preconditioner()
+        right, precondition = self.only_free(right), self.preconditioned()
+        return conjugate_gradients(self.product, precondition, right, KeptVector.dot, TOLERANCE, MOST_ITERATIONS)[0]
+
+    def preconditioned(self) -> Callable[[KeptVector], KeptVector]:
+        """M^-1 r, with the diagonal blocks M of S."""
+        factor = self.preconditioner()
 
         def precondition(r: KeptVector) -> KeptVector:
             images, border = solve(self.problem.reduced, factor, r.images[..., None], r.border[:, None])
             return KeptVector(images[..., 0], border[:, 0])
 
-        right = self._only_free(right)
-        return conjugate_gradients(self._product, precondition, right, KeptVector.dot, TOLERANCE, MOST_ITERATIONS)[0]
+        return precondition
 
-    def _preconditioner(self) -> ReducedFactor:
+    def preconditioner(self) -> ReducedFactor:
+        """The factors of the diagonal blocks."""
         # with the coupling, but without the blocks of pairs of images, it might not be positive
         diagonal = eqx.tree_at(lambda s: s.coupling, self.system, jnp.zeros_like(self.system.coupling))
         return factorise(self.problem.reduced, diagonal, self.damping)
 
-    def _only_free(self, x: KeptVector) -> KeptVector:
+    def only_free(self, x: KeptVector) -> KeptVector:
+        """The vector with 0 for what is held."""
         free = KeptVector(self.system.free, self.system.border_free)
         return jax.tree.map(lambda f, v: jnp.where(f, v, 0.0), free, x)
 
-    def _product(self, x: KeptVector) -> KeptVector:
+    def product(self, x: KeptVector) -> KeptVector:
+        """S x."""
         p, o, system = self.problem, self.problem.observations, self.system
         before = image_values(self.unknowns.images, o)
         direction = image_values(direction_of(correction_of(x.images, x.border, p, self.unknowns), self.turns), o)
@@ -71,7 +79,7 @@ class ImplicitEquations(NamedTuple):
         of_rays = kept_rows(lax.psum(rows, self.axis) if self.axis else rows, self.turns, p)
         damped = KeptVector(system.diagonal * x.images, system.border_diagonal * x.border)
         damped = jax.tree.map(lambda v: self.damping * v, damped)
-        return self._only_free(jax.tree.map(lambda *v: sum(v), kept_product(self.kept, x), of_rays, damped))
+        return self.only_free(jax.tree.map(lambda *v: sum(v), kept_product(self.kept, x), of_rays, damped))
 
 
 def kept_product(kept: KeptSums, x: KeptVector) -> KeptVector:

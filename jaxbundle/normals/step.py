@@ -32,6 +32,8 @@ class Trial(NamedTuple):
     """A trial step at some damping; all reductions belong to v^T P v / 2.
 
     `moved` is |change of v|^2, of first order |J d|^2: a sum of squares and so, unlike g . d, free of cancellation.
+    `steepness` is the maximum of |J_k^T P v| / |J_k| over all unknowns k, before the step: free of units, 0 at a
+    minimum, at most |v|.
     """
 
     unknowns: Arranged
@@ -41,6 +43,7 @@ class Trial(NamedTuple):
     moved: Float[Array, ""]
     noise: Float[Array, ""]
     finite: Bool[Array, ""]
+    steepness: Float[Array, ""]
 
 
 class Linearised(NamedTuple):
@@ -126,6 +129,7 @@ class _RayPart(NamedTuple):
     gradient_step: Float[Array, ""]
     damped_step: Float[Array, ""]
     finite: Bool[Array, ""]
+    steepness: Float[Array, ""]
 
 
 def _on_device(
@@ -152,7 +156,8 @@ def _on_device(
     moved = corrected(unknowns.images, correction, o.in_angles, o.system)
     before, along, after = (image_values(u, o) for u in (unknowns.images, direction, moved))
     part = substitute(o, before, along, after, unknowns.tiles, factors, damping, tiles)
-    cost, reduction, moved_residuals, gradient_step, damped_step = total(part[1:])
+    cost, reduction, moved_residuals, gradient_step, damped_step = total(part[1:-1])
+    of_points = lax.pmax(part.steepness, axis) if axis else part.steepness
     squares = jnp.sum(system.diagonal * images**2) + jnp.sum(system.border_diagonal * border**2)
     return _RayPart(
         moved,
@@ -163,7 +168,21 @@ def _on_device(
         gradient_step + jnp.sum(gradient * images) + jnp.sum(border_gradient * border),
         damped_step + damping * squares,
         jnp.isfinite(jnp.sum(images)) & jnp.isfinite(jnp.sum(border)) & jnp.isfinite(reduction),
+        jnp.maximum(of_points, kept_steepness(system, gradient, border_gradient)),
     )
+
+
+def kept_steepness(
+    system: ReducedSystem, gradient: Float[Array, "image d"], border_gradient: Float[Array, " border"]
+) -> Float[Array, ""]:
+    """The maximum of g_k^2 / N_kk over the kept unknowns that are free."""
+    images = system.free & (system.diagonal > 0), gradient, system.diagonal
+    border = system.border_free & (system.border_diagonal > 0), border_gradient, system.border_diagonal
+    steepest = jnp.zeros(())
+    for free, g, diagonal in (images, border):
+        squares = jnp.where(free, g * g / jnp.where(free, diagonal, 1.0), 0.0)
+        steepest = jnp.maximum(steepest, jnp.max(squares, initial=0.0))
+    return steepest
 
 
 def trial_step(unknowns: Arranged, p: Problem, damping: Float[Array, ""]) -> Trial:
@@ -185,8 +204,9 @@ def trial_step(unknowns: Arranged, p: Problem, damping: Float[Array, ""]) -> Tri
         reduction,
         0.5 * (part.damped_step - part.gradient_step),
         part.moved + sum(jnp.sum((v - w) ** 2) for v, w in pairs),
-        _noise(p),
+        rounding_noise(p),
         part.finite & jnp.isfinite(reduction),
+        jnp.sqrt(part.steepness),
     )
 
 
@@ -208,7 +228,7 @@ def placed(unknowns: Arranged, p: Problem, state: Any) -> tuple[Arranged, Proble
 
 def _on_devices(unknowns: Arranged, linear: Linearised, damping: Array, p: Problem, free: Array) -> _RayPart:
     parts = partition(unknowns, linear, p)
-    out_specs = _RayPart(parts[0].images, OF_TILES, *[EVERYWHERE] * 6)
+    out_specs = _RayPart(parts[0].images, OF_TILES, *[EVERYWHERE] * 7)
     return jax.shard_map(
         partial(_on_device, axis=AXIS),
         mesh=device_mesh(p.devices),
@@ -218,7 +238,7 @@ def _on_devices(unknowns: Arranged, linear: Linearised, damping: Array, p: Probl
     )(unknowns, linear, damping, p, free)
 
 
-def _noise(p: Problem) -> Float[Array, ""]:
+def rounding_noise(p: Problem) -> Float[Array, ""]:
     """v^T P v / 2 of residuals that are nothing but rounding: a few operations on image coordinates."""
     eps = 4 * jnp.finfo(p.kept_rays.measured.dtype).eps
     rays = [(x.measured, x.weights) for x in (*p.tiles, p.kept_rays)]

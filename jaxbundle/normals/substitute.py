@@ -28,7 +28,7 @@ from jaxbundle.normals.rows import image_equation
 class Substituted(NamedTuple):
     """Points after the step; v^T P v / 2 of the rays before it, its reduction, |change of v|^2; sums over the points.
 
-    `gradient_step` is g . d, `damped_step` d . lambda D d.
+    `gradient_step` is g . d, `damped_step` d . lambda D d. `steepness`: the maximum of g_k^2 / N_kk over the points.
     """
 
     points: Float[Array, "3 tile column"]
@@ -37,6 +37,7 @@ class Substituted(NamedTuple):
     moved: Float[Array, ""]
     gradient_step: Float[Array, ""]
     damped_step: Float[Array, ""]
+    steepness: Float[Array, ""]
 
 
 def image_values(unknowns: Unknowns, observations: Observations) -> Float[Array, "image number"]:
@@ -100,10 +101,20 @@ def substitute(
             carry.gradient_step + sum(jnp.sum(jnp.where(own, g * d, 0.0)) for g, d in zip(gradient, dx, strict=True)),
             carry.damped_step
             + damping * sum(jnp.sum(jnp.where(own, s * d * d, 0.0)) for s, d in zip(diagonal, dx, strict=True)),
+            jnp.maximum(carry.steepness, jnp.max(_steepness(factor, gradient, diagonal, own))),
         )
 
     zero = jnp.zeros(())
-    done = Substituted(points, zero, zero, zero, zero, zero)
+    done = Substituted(points, zero, zero, zero, zero, zero, zero)
     for part in tiles:
         done = lax.fori_loop(0, part.chunks, partial(do_chunk, part), done)
     return done
+
+
+def _steepness(factor: PointFactor, gradient: list[Array], diagonal: list[Array], own: Array) -> Array:
+    """The largest g_k^2 / N_kk of the free coordinates of every point."""
+    steep = jnp.zeros(())
+    for inverse_pivot, g, s in zip(factor[:3], gradient, diagonal, strict=True):
+        free = own & (inverse_pivot != 0) & (s > 0)
+        steep = jnp.maximum(steep, jnp.where(free, g * g / jnp.where(free, s, 1.0), 0.0))
+    return steep

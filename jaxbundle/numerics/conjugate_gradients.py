@@ -44,3 +44,47 @@ def conjugate_gradients(
     going = lambda c: (c[0] < most_iterations) & (c[4] > tolerance**2 * first)  # noqa: E731
     _, x, _, _, last = lax.while_loop(going, step, (0, zero, right, z, first))
     return x, jnp.sqrt(last / jnp.where(first == 0, 1.0, first))
+
+
+def softest_direction(
+    product: Callable[[T], T],
+    precondition: Callable[[T], T],
+    right: T,
+    dot: Callable[[T, T], Array],
+    limit: float,
+    tolerance: float,
+    most_iterations: int,
+) -> T:
+    """A direction x with a small x^T A x / x^T M x, M being what the preconditioner inverts.
+
+    It is A^-1 b, one step of inverse iteration from `right`, or the first search direction whose quotient falls to
+    `limit` or below, where A is singular. Ends as `conjugate_gradients` does. Not finite where the preconditioner is
+    not.
+    """
+
+    def plus(x: T, factor: Array, y: T) -> T:
+        return jax.tree.map(lambda a, b: a + factor * b, x, y)
+
+    def soft(ap: T, p: T, mp: T) -> Array:
+        return ~(dot(p, ap) > limit * dot(p, mp))
+
+    def step(carry: tuple) -> tuple:
+        k, x, r, p, ap, mp, rz = carry
+        alpha = rz / dot(p, ap)
+        r = plus(r, -alpha, ap)
+        z = precondition(r)
+        new = dot(r, z)
+        p_new, mp_new = plus(z, new / rz, p), plus(r, new / rz, mp)
+        return k + 1, plus(x, alpha, p), r, p_new, product(p_new), mp_new, new
+
+    z = precondition(right)
+    first = dot(right, z)
+    zero = jax.tree.map(jnp.zeros_like, right)
+
+    def going(carry: tuple) -> Array:
+        k, _, _, p, ap, mp, rz = carry
+        return (k < most_iterations) & (rz > tolerance**2 * first) & ~soft(ap, p, mp)
+
+    _, x, _, p, ap, mp, rz = lax.while_loop(going, step, (0, zero, right, z, product(z), right, first))
+    is_soft = (rz > tolerance**2 * first) & soft(ap, p, mp)
+    return jax.tree.map(lambda a, b: jnp.where(is_soft, a, b), p, x)

@@ -15,6 +15,7 @@ from jaxtyping import Array
 from jaxbundle.block.block import Block
 from jaxbundle.block.consistency import require_consistent
 from jaxbundle.block.datum import with_datum
+from jaxbundle.block.datum_precision import weak_datum
 from jaxbundle.block.given import require_a
 from jaxbundle.block.residuals import observations_of
 from jaxbundle.block.unknowns import unknowns_of
@@ -27,19 +28,21 @@ from jaxbundle.numerics.host import constant, on_device, on_host
 from jaxbundle.numerics.precision import require_float64
 from jaxbundle.solve import levenberg_marquardt as solver
 from jaxbundle.solve.adjustment import Adjustment, Iterations, Status
-from jaxbundle.solve.answer import adjustment
+from jaxbundle.solve.answer import Ended, adjustment
 from jaxbundle.solve.checkpoint import Keeper, fingerprint, require_same_block
 from jaxbundle.solve.free_network import constrained, freed
 from jaxbundle.solve.implicit import Derivatives, minimum
 from jaxbundle.solve.levenberg_marquardt import Arguments, BundleSolver, State
 from jaxbundle.solve.robust import AbstractWeightFunction, Solve, adjust_robustly
 from jaxbundle.solve.search import DampedSearch, FullStep
+from jaxbundle.solve.start import require_finite_start
 from jaxbundle.solve.stopping import AbstractStoppingRule, AngleRule
 from jaxbundle.solve.verdict import with_verdict
 
 METHODS = {"levenberg-marquardt": DampedSearch, "gauss-newton": FullStep}
 ENGINES = ("block", "jaxopt")
 RAYS_FOR_DEVICES = 10_000
+CREEPING_STEPS = 10  # Gauss-Newton and Levenberg-Marquardt end in fewer where the datum is determined
 _STATUS = {
     solver.RUNNING: Status.MAXIMUM_ITERATIONS,
     solver.CONVERGED: Status.CONVERGED,
@@ -107,7 +110,8 @@ def adjust(
     if checkpoint is not None:
         raise ValueError("a robust adjustment solves many times and keeps no checkpoint")
     solve = Solve(
-        lambda b: _least_squares(b, wanted, False, None), lambda b: _least_squares(b, wanted, precision, None)
+        lambda b: _least_squares(b, wanted, False, None, inspected=False),
+        lambda b: _least_squares(b, wanted, precision, None),
     )
     return with_verdict(adjust_robustly(block, robust, solve))
 
@@ -138,8 +142,10 @@ class _Wanted(NamedTuple):
     progress: Callable[[Progress], None] | None
 
 
-def _least_squares(block: Block, wanted: _Wanted, precision: bool, checkpoint: Path | None) -> Adjustment:
-    """One adjustment."""
+def _least_squares(
+    block: Block, wanted: _Wanted, precision: bool, checkpoint: Path | None, inspected: bool = True
+) -> Adjustment:
+    """One adjustment; without `inspected` one whose answer is not checked, for a result that nobody sees."""
     if block.structure.datum.kind == "inner" and not block.concrete:
         raise ValueError("a free network is adjusted outside of jit, grad and vmap; there take a minimal datum")
     values = with_datum(constant(block))
@@ -163,9 +169,10 @@ def _least_squares(block: Block, wanted: _Wanted, precision: bool, checkpoint: P
     if block.structure.datum.kind == "inner":
         arranged = arranged_unknowns(plan, constrained(centred, restored_unknowns(plan, arranged)))
         block = dataclasses.replace(block, structure=freed(block.structure))
-    return adjustment(
-        block, plan, given, arranged, iterations, origin, wanted.rule.name, wanted.method, precision, optimised
+    ended = Ended(
+        iterations, origin, wanted.rule.name, wanted.method, precision, inspected and block.concrete, optimised
     )
+    return adjustment(block, plan, given, arranged, ended)
 
 
 def _solved(run: "_Run", checkpoint: Path | None) -> tuple[Arranged, Iterations]:
@@ -176,6 +183,9 @@ def _solved(run: "_Run", checkpoint: Path | None) -> tuple[Arranged, Iterations]
         second_opinion = importlib.import_module("jaxbundle.solve.second_opinion")
         args = second_opinion.Arguments(observations_of(block), wanted.rule)
         unknowns, iterations = second_opinion.solve(unknowns_of(block), args, wanted.method, wanted.max_iterations)
+        if not np.isfinite(float(iterations.initial_cost)):
+            start = arranged_unknowns(run.plan, unknowns_of(block))
+            require_finite_start(block, run.plan, start, run.args.problem)
         return arranged_unknowns(run.plan, unknowns), iterations
     if not block.concrete:
         return _in_one(run)
@@ -234,28 +244,45 @@ def _step_by_step(run: _Run, keeper: Keeper | None) -> tuple[Arranged, Iteration
         start, state = keeper.resumed(start, state)
         state = state._replace(status=on_device(solver.RUNNING, state.status.dtype))  # a file's verdict is not believed
     unknowns, problem, state = placed(arranged_unknowns(run.plan, start), run.args.problem, state)
-    args, interrupted = run.args._replace(problem=problem), False
+    args, interrupted, costs, creeping = run.args._replace(problem=problem), False, [], False
     try:
-        while int(state.trials) < run.wanted.max_iterations and int(state.status) == solver.RUNNING:
+        while int(state.trials) < run.wanted.max_iterations and int(state.status) == solver.RUNNING and not creeping:
             before = int(state.accepted)
             unknowns, state = solver.run(bundle, unknowns, args, state, 1, optimised=run.optimised)
+            if int(state.trials) == 1 and not np.isfinite(float(state.initial_cost)):
+                require_finite_start(run.block, run.plan, unknowns, args.problem)
             accepted = int(state.accepted) > before
             if keeper is not None and accepted and int(state.status) == solver.RUNNING:
                 # the last step is not kept: who goes on from here does it again and comes to the same end
                 keeper.keep(restored_unknowns(run.plan, unknowns), state)
             if run.wanted.progress is not None:
                 run.wanted.progress(_progress(run.block, state, accepted))
+            if accepted:
+                costs.append(float(state.cost))
+                creeping = is_creeping(run.block, costs)
     except KeyboardInterrupt:
         if jax.process_count() > 1 or not int(state.accepted):
             raise  # the others would wait for this one for ever; or there is nothing to keep
         interrupted = int(state.status) == solver.RUNNING
     state = jax.tree.map(lambda x: on_device(on_host(x)), state)
     status = Status.INTERRUPTED if interrupted else _STATUS[int(state.status)]
+    if creeping and status is Status.MAXIMUM_ITERATIONS:
+        status = Status.CREEPING
     return unknowns, _iterations(state, on_device(int(status)))
 
 
+def is_creeping(block: Block, costs: list[float]) -> bool:
+    """Whether the last steps only follow a weak direction of the datum: v^T P v falls by less than one standard
+    deviation of an unknown would make it fall, and control alone leaves the direction without any use."""
+    if len(costs) <= CREEPING_STEPS or len(costs) % CREEPING_STEPS:
+        return False
+    fallen, variance = 2 * (costs[-1 - CREEPING_STEPS] - costs[-1]), 2 * costs[-1] / max(block.redundancy, 1)
+    return fallen < variance and bool(weak_datum(block, float(np.sqrt(variance))))
+
+
 def _iterations(state: State, status: Array) -> Iterations:
-    return Iterations(status, state.trials, state.accepted, state.initial_cost, state.cost, state.measure)
+    step = jnp.where(state.used_damping == 0, state.step, 0.0)
+    return Iterations(status, state.trials, state.accepted, state.initial_cost, state.cost, state.measure, step)
 
 
 def _progress(block: Block, state: State, accepted: bool) -> Progress:

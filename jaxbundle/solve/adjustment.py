@@ -29,6 +29,7 @@ class Status(IntEnum):
     DIVERGED = 3
     STALLED = 4
     INTERRUPTED = 5
+    CREEPING = 6
 
     @property
     def words(self) -> str:
@@ -39,12 +40,17 @@ class Status(IntEnum):
             Status.SINGULAR: "ended at a singular normal matrix, not converged",
             Status.DIVERGED: "diverged",
             Status.STALLED: "ended where no step reduces the residuals any more, not converged",
+            Status.CREEPING: (
+                "ended where unknowns that are hardly determined still move and the residuals no longer change,"
+                " not converged"
+            ),
             Status.INTERRUPTED: "was interrupted, not converged: the last accepted unknowns are kept",
         }[self]
 
 
 class Iterations(NamedTuple):
-    """How the solve went. `measure` is the stopping rule's number at the last accepted step."""
+    """How the solve went. `measure` is the stopping rule's number at the last accepted step; `step`, |J d| / |v| of
+    the last one if it was not damped, else 0."""
 
     status: Int[Array, ""]
     trials: Int[Array, ""]
@@ -52,6 +58,7 @@ class Iterations(NamedTuple):
     initial_cost: Float[Array, ""]
     final_cost: Float[Array, ""]
     measure: Float[Array, ""]
+    step: Float[Array, ""]
 
 
 class BlockCofactors(NamedTuple):
@@ -104,6 +111,7 @@ class Adjustment(eqx.Module):
     reduced: str = eqx.field(static=True)  # how the reduced equations were solved
     findings: tuple[Finding, ...] = eqx.field(static=True, default=())  # of the block and of its adjustment
     reweighting: Reweighting | None = None  # None: not robust
+    undetermined_directions: int = eqx.field(static=True, default=0)  # in which the unknowns move and no residual does
 
     def __repr__(self) -> str:
         structure = self.block.structure
@@ -123,8 +131,8 @@ class Adjustment(eqx.Module):
 
     @property
     def redundancy(self) -> int:
-        """M - N."""
-        return self.block.redundancy
+        """M - N, where N does not count directions of the unknowns that are not determined: M less the rank of A."""
+        return self.block.redundancy + self.undetermined_directions
 
     @property
     def vtpv(self) -> Float[Array, ""]:
@@ -163,7 +171,7 @@ class Adjustment(eqx.Module):
     @property
     def undetermined(self) -> tuple[Finding, ...]:
         """What the observations do not determine."""
-        return of_kind(self.findings, Kind.UNDETERMINED)
+        return of_kind(self.findings, Kind.PARTS, Kind.UNDETERMINED)
 
     @property
     def standard_deviations(self) -> StandardDeviations:

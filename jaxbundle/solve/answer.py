@@ -12,16 +12,20 @@ import numpy as np
 from jaxtyping import Array, Float
 
 from jaxbundle.block.block import Block, ExteriorOrientation, InteriorOrientation
+from jaxbundle.block.datum_precision import weak_datum
 from jaxbundle.block.unknowns import angle_derivatives, angles_near
 from jaxbundle.normals.arrange import Arranged, Arrangement, Problem, restored_rays, restored_unknowns, spread
 from jaxbundle.normals.cofactors import Cofactors, cofactors
+from jaxbundle.normals.inspection import Inspection, inspection
 from jaxbundle.normals.residuals import weighted_residuals
+from jaxbundle.normals.step import rounding_noise
 from jaxbundle.numerics.compilation import Compiled
 from jaxbundle.numerics.host import array_module, constant, is_concrete, on_device, on_host
-from jaxbundle.solve.adjustment import Adjustment, BlockCofactors, Iterations
+from jaxbundle.solve.adjustment import Adjustment, BlockCofactors, Iterations, Status
 from jaxbundle.solve.free_network import InnerCofactors, inner_cofactors_of
 from jaxbundle.solve.implicit_precision import with_derivatives
-from jaxbundle.solve.undetermined import undetermined_unknowns
+from jaxbundle.solve.levenberg_marquardt import FLAT, is_flat
+from jaxbundle.solve.undetermined import End, Undetermined, undetermined
 
 
 class Answer(NamedTuple):
@@ -29,22 +33,41 @@ class Answer(NamedTuple):
 
     angles: Float[Array, "3 image"]
     residuals: list[Array]
+    noise: Float[Array, ""]  # v^T P v / 2 of rounding
+    inspection: Inspection | None
     cofactors: Cofactors | None
     to_user: Float[Array, "image 6 6"] | None  # the user's angles from those of the corrections
 
 
+class Ended(NamedTuple):
+    """How a solve ended and what is wanted of its answer. `inspected`: whether "converged" and the determination of the
+    unknowns are checked where no standard deviations are computed."""
+
+    iterations: Iterations
+    origin: Float[Array, "3"]
+    rule: str
+    method: str
+    precision: bool
+    inspected: bool
+    optimised: bool
+
+
 @Compiled
-def _answer(arranged: Arranged, problem: Problem, reference: Float[Array, "3 image"], precision: bool) -> Answer:
+def _answer(
+    arranged: Arranged, problem: Problem, reference: Float[Array, "3 image"], precision: bool, inspected: bool
+) -> Answer:
     """Angles near the reference, weighted residuals, cofactors; those of the exterior in the user's angles."""
     o, matrix = problem.observations, arranged.images.rotation
     angles = jnp.stack(angles_near(tuple(matrix), reference, o.system))
     residuals = weighted_residuals(arranged, problem)
+    noise = rounding_noise(problem)
     if not precision:
-        return Answer(angles, residuals, None, None)
+        found = inspection(arranged, problem) if inspected else None
+        return Answer(angles, residuals, noise, found, None, None)
     q = cofactors(*constant((arranged, problem)))
     turned = angle_derivatives(matrix, o.in_angles, reference, o.system).transpose(2, 0, 1)
     to_user = jnp.zeros((matrix.shape[1], 6, 6)).at[:, :3, :3].set(jnp.eye(3)).at[:, 3:, 3:].set(turned)
-    return Answer(angles, residuals, q, to_user)
+    return Answer(angles, residuals, noise, q.inspection, q, to_user)
 
 
 def adjustment(
@@ -52,18 +75,14 @@ def adjustment(
     plan: Arrangement,
     problem: Problem,
     arranged: Arranged,
-    iterations: Iterations,
-    origin: Float[Array, "3"],
-    rule: str,
-    method: str,
-    precision: bool,
-    optimised: bool,
+    ended: Ended,
 ) -> Adjustment:
-    """The answer for a block. `problem` and `arranged` belong to the block with its origin moved to `origin`."""
+    """The answer for a block. `problem` and `arranged` belong to the block with its origin moved to `ended.origin`."""
+    optimised, iterations = ended.optimised, ended.iterations
     reference = on_device(spread(on_host(block.exterior.angles).T, plan.order.image, plan.order.images, 0.0))
-    answer = _answer(arranged, problem, reference, precision, optimised=optimised)
+    answer = _answer(arranged, problem, reference, ended.precision, ended.inspected, optimised=optimised)
     weighted = _tables(plan, problem, answer.residuals)
-    blocks, redundancy_numbers, weak = None, None, ()
+    blocks, redundancy_numbers = None, None
     if answer.cofactors is not None:
         if not block.concrete:
             q = with_derivatives(answer.cofactors, arranged, problem, plan, block.structure, optimised)
@@ -73,8 +92,15 @@ def adjustment(
             inner = inner_cofactors_of(block.structure, plan, arranged, problem, answer.cofactors, optimised)
         blocks = _cofactors(block, plan, answer, inner)
         redundancy_numbers = _redundancy_numbers(block, _tables(plan, problem, answer.cofactors.leverages))
-        weak = undetermined_unknowns(block.structure, plan, answer.cofactors) if block.concrete else ()
-    adjusted = _adjusted(block, plan, arranged, answer.angles, origin)
+    adjusted = _adjusted(block, plan, arranged, answer.angles, ended.origin)
+    loose, weak = Undetermined(), ()
+    if block.concrete and answer.inspection is not None:
+        iterations = certified(iterations, answer.inspection, float(answer.noise))
+        converged = int(iterations.status) == Status.CONVERGED
+        end = End(adjusted, plan, problem, arranged, np.asarray(ended.origin))
+        loose = undetermined(end, answer.inspection, converged)
+        sigma0 = np.sqrt(2 * float(iterations.final_cost) / max(adjusted.redundancy + loose.directions, 1))
+        weak = () if loose.findings else weak_datum(adjusted, float(sigma0))
     return Adjustment(
         adjusted,
         _unweighted(block, weighted),
@@ -82,11 +108,22 @@ def adjustment(
         blocks,
         redundancy_numbers,
         iterations,
-        rule,
-        method,
+        ended.rule,
+        ended.method,
         plan.method,
-        (*block.structure.findings, *weak),
+        (*block.structure.findings, *loose.findings, *weak),
+        undetermined_directions=loose.directions,
     )
+
+
+def certified(iterations: Iterations, found: Inspection, noise: float) -> Iterations:
+    """The iterations, ended as stalled where they converged and the gradient does not vanish at their end."""
+    if int(iterations.status) != Status.CONVERGED:
+        return iterations
+    tolerance = max(FLAT, float(iterations.step))
+    if bool(is_flat(found.steepness, iterations.final_cost, on_device(noise), tolerance)):
+        return iterations
+    return iterations._replace(status=on_device(int(Status.STALLED)))
 
 
 def _tables(plan: Arrangement, problem: Problem, parts: list[Array]) -> tuple[Array, ...]:

@@ -106,7 +106,7 @@ def _inner_cofactors(
 
     `carrying`: 1 for the places of points over which the constraints are formed, tiles first, then kept points.
     """
-    g = _similarities(unknowns, p, constraints)
+    g = similarities(unknowns, p, constraints)
     first, chosen = p.shape.first_kept_point, _carried(g, p, carrying)
     inverse = inverse_factor(_products(chosen, g))
     m = inverse.T @ inverse
@@ -155,7 +155,7 @@ def _by_point(border: Float[Array, "k border"], first: int) -> Float[Array, "k k
     return border[:, first:].reshape(len(border), (border.shape[1] - first) // 3, 3)
 
 
-def _similarities(unknowns: Arranged, p: Problem, constraints: int) -> NormalVector:
+def similarities(unknowns: Arranged, p: Problem, constraints: int) -> NormalVector:
     """G: corrections of the unknowns under small translations, rotations and, with 7 constraints, a change of scale.
 
     Lengths are in units of the spread of the images, so that all columns are of one size.
@@ -188,7 +188,7 @@ def with_inner_constraints(
     unknowns: Arranged, p: Problem, carrying: Float[Array, " place"], constraints: int, rows: NormalVector
 ) -> NormalVector:
     """S^T f for every row f: with Q of the minimal datum, f Q f^T is that of the inner constraints."""
-    g = _similarities(unknowns, p, constraints)
+    g = similarities(unknowns, p, constraints)
     chosen = _carried(g, p, carrying)
     inverse = inverse_factor(_products(chosen, g))
     m = inverse.T @ inverse

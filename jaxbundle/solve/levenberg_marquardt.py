@@ -4,7 +4,10 @@ One step:  rows and elimination at the accepted unknowns -> reduced solution -> 
 
 Only accepted unknowns are linearised and the Jacobian is not kept, so the state is free of it. Convergence is
 certified by an undamped step: where a damped step meets the stopping rule the next one is tried with lambda = 0, and
-the solve ends when that one meets the rule too.
+the solve ends when that one meets the rule too. Where the undamped equations are singular a damped step is no
+certificate, since a large lambda makes any step short: there the gradient must vanish,
+
+    |J_k^T P v| <= 1e-8 |J_k| |v| + rounding         for every unknown k, free of units
 """
 
 from typing import Any, NamedTuple
@@ -24,6 +27,7 @@ from jaxbundle.solve.search import AbstractSearch, SearchState
 from jaxbundle.solve.stopping import AbstractStoppingRule, StepTaken
 
 RUNNING, CONVERGED, SINGULAR, DIVERGED, STALLED = range(5)
+FLAT = 1e-8  # cosine of the angle between v and the column of an unknown: the limit of the angle rule
 LARGEST_DAMPING = 1e16  # beyond, a step no longer changes the unknowns in double precision
 
 
@@ -39,7 +43,7 @@ class State(NamedTuple):
 
     search: SearchState
     certifying: Bool[Array, ""]  # the next step is undamped
-    uncertified: Bool[Array, ""]  # an undamped step was singular: the rule must do with damped ones
+    uncertified: Bool[Array, ""]  # the undamped step was singular: the gradient must do in place of one
     status: Int[Array, ""]
     trials: Int[Array, ""]
     accepted: Int[Array, ""]
@@ -83,9 +87,12 @@ class BundleSolver(optx.AbstractLeastSquaresSolver[Arranged, Any, Any, State]):
         unknowns = jax.tree.map(lambda old, new: jnp.where(accepted, new, old), y, trial.unknowns)
         measure = rule.measure(StepTaken(y.flat(), trial.unknowns.flat(), angle_squared, problem.observations))
         met = accepted & (measure <= rule.limit)
-        uncertified = state.uncertified | (state.certifying & ~trial.finite)
+        # away from where an undamped step was singular the next one may be regular
+        left = accepted & ~met
+        uncertified = jnp.where(state.certifying, ~trial.finite, state.uncertified & ~left)
         undamped = damping == 0
-        status = jnp.where(met & (undamped | uncertified), CONVERGED, RUNNING).astype(state.status.dtype)
+        flat = is_flat(trial.steepness, trial.cost, trial.noise, FLAT)
+        status = jnp.where(met & (undamped | (uncertified & flat)), CONVERGED, RUNNING).astype(state.status.dtype)
         status = jnp.where((status == RUNNING) & (search.damping > LARGEST_DAMPING), STALLED, status)
         hopeless = undamped & ~state.certifying & ~accepted  # Gauss-Newton has no shorter step
         status = jnp.where(hopeless, jnp.where(trial.finite, DIVERGED, SINGULAR), status)
@@ -112,6 +119,11 @@ class BundleSolver(optx.AbstractLeastSquaresSolver[Arranged, Any, Any, State]):
 
     def postprocess(self, fn, y, aux, args, options, state: State, tags, result) -> tuple[Arranged, Any, dict]:
         return y, aux, {"state": state}
+
+
+def is_flat(steepness: Array, cost: Array, noise: Array, tolerance: Array | float) -> Bool[Array, ""]:
+    """Whether the gradient vanishes: max |J_k^T P v| / |J_k| against |v| and the rounding of v, from v^T P v / 2."""
+    return steepness <= tolerance * jnp.sqrt(2 * cost) + jnp.sqrt(2 * noise)
 
 
 @Compiled

@@ -42,13 +42,15 @@ class Arguments(NamedTuple):
 class FullStep(NamedTuple):
     """A dense Gauss-Newton step and the lengths of the columns it is scaled by.
 
-    `measure` is the stopping rule's number of the step; `met`: within the rule's limit, or beyond what jaxopt can see.
+    `measure` is the stopping rule's number of the step; `met`: within the rule's limit, or beyond what jaxopt can see;
+    `angle`: |J d| / |v|.
     """
 
     x: Float[Array, " free"]
     scale: Float[Array, " free"]
     measure: Float[Array, ""]
     met: Bool[Array, ""]
+    angle: Float[Array, ""]
 
 
 def solve(unknowns: Unknowns, args: Arguments, method: str, max_iterations: int) -> tuple[Unknowns, Iterations]:
@@ -84,7 +86,7 @@ def solve(unknowns: Unknowns, args: Arguments, method: str, max_iterations: int)
         elif not moved:
             status = Status.STALLED
     code, trials, accepted = jnp.asarray(int(status)), jnp.asarray(trials), jnp.asarray(accepted)
-    return unknowns, Iterations(code, trials, accepted, initial, _cost(unknowns, o), full.measure)
+    return unknowns, Iterations(code, trials, accepted, initial, _cost(unknowns, o), full.measure, full.angle)
 
 
 def _residuals(unknowns: Unknowns, observations: Observations) -> Float[Array, " observation"]:
@@ -162,4 +164,4 @@ def _full_step(unknowns: Unknowns, args: Arguments, free: Int[Array, " free"]) -
     measure = rule.measure(StepTaken(unknowns, _moved(unknowns, o, free, x / scale), angle_squared, o))
     # jaxopt subtracts two sums of squares: what a step would change in their last digits it cannot see
     at_floor = angle_squared <= 16 * jnp.finfo(v.dtype).eps
-    return FullStep(x, scale, measure, (measure <= rule.limit) | at_floor)
+    return FullStep(x, scale, measure, (measure <= rule.limit) | at_floor, jnp.sqrt(angle_squared))

@@ -1,17 +1,40 @@
-"""Which unknowns the observations leave undetermined, in the user's names, with what would determine them."""
+"""What the observations leave undetermined: points, parts of the block, unknowns, each as one finding.
+
+A direction in which the unknowns can move without any observation noticing is looked for in three steps. Points: by the
+pivots of their own 3 x 3 equations. Similarity transformations of the whole block, or of a part of it: by
+
+    c^T G^T S G c / c^T G^T D G c        G: such transformations of every part; S reduced equations, D = diag(N)
+
+The rest: by the eigenvectors of S, scaled to the unit diagonal of N. The first and the last depend on where the
+unknowns are, so they are told of a minimum only; a similarity transformation leaves all rays alone anywhere.
+"""
+
+from typing import NamedTuple
 
 import numpy as np
+import scipy.sparse
 from jaxtyping import Float, Int
+from scipy.sparse.csgraph import connected_components
 
-from jaxbundle.block.block import Structure
+from jaxbundle.block.block import Block, Structure
 from jaxbundle.block.findings import Finding, Kind, Subject
-from jaxbundle.normals.arrange import Arrangement
-from jaxbundle.normals.cofactors import Cofactors
+from jaxbundle.block.parts import parts_of
+from jaxbundle.normals.arrange import Arranged, Arrangement, Problem
+from jaxbundle.normals.inspection import WEAKEST_SHARE, Inspection, reduced_products
+from jaxbundle.normals.kept_vector import KeptVector
 from jaxbundle.normals.reduced_system import ReducedSystem
-from jaxbundle.numerics.host import on_host
+from jaxbundle.normals.vector import NormalVector
+from jaxbundle.numerics.compilation import Compiled
+from jaxbundle.numerics.host import on_device, on_host
+from jaxbundle.numerics.shapes import grid_size
+from jaxbundle.solve.free_network import similarities
+from jaxbundle.solve.similarity_findings import Gauge, gauge_findings, listed
 
-WEAKEST_SHARE = 1e-11  # of its own normal equation: below, rounding decides about the unknown
 MOST_NAMED = 3000  # kept unknowns; beyond, only where the factorisation failed is told
+HELD = 1e-8  # of a transformation's length: what moves a held unknown
+RANK = 1e-10  # of the largest: transformations that are combinations of others, as the scale of a single image
+TOGETHER = 1e-3  # element of the projector on the null space: below, two unknowns have nothing to do with each other
+TAKES_PART = 0.3  # of the largest one in a direction: unknowns that are named
 CURES = {
     "image": "measure more and better spread points on the image, or add control",
     "camera": "hold the element, give control in relief, or add convergent and turned images",
@@ -20,70 +43,261 @@ CURES = {
 }
 
 
-def undetermined_unknowns(structure: Structure, arrangement: Arrangement, cofactors: Cofactors) -> tuple[Finding, ...]:
-    """One finding for each direction in which the unknowns can move without any observation noticing."""
-    a = arrangement
-    shares = np.ones(a.order.points)
-    shares[: a.places] = on_host(cofactors.point_pivots).ravel()
-    loose = np.nonzero(~(shares[a.order.point] > WEAKEST_SHARE))[0]
-    found = [_finding("point", f"point {structure.point_names[p]}", structure.point_names[p]) for p in loose]
-    pivots = np.concatenate([np.asarray(cofactors.image_pivots).ravel(), np.asarray(cofactors.border_pivots)])
-    if np.all(pivots > WEAKEST_SHARE):
-        return tuple(found)
-    names = kept_names(structure, a)
-    if len(pivots) > MOST_NAMED:
-        failed = [names[k] for k in np.nonzero(~(pivots > WEAKEST_SHARE))[0][:1] if k in names]
-        return (*found, *(_finding(kind, f"{name} or one that is tied to it", name) for kind, name in failed))
-    matrix = _scaled_matrix(cofactors.system, np.asarray(a.reduced.pair))
-    if not np.isfinite(matrix).all():
-        return tuple(found)
-    values, vectors = np.linalg.eigh(matrix)
-    for vector in vectors.T[values <= WEAKEST_SHARE]:
-        large = [k for k in np.argsort(-np.abs(vector), kind="stable")[:6] if k in names]
-        large = [k for k in large if abs(vector[k]) > 0.3 * np.abs(vector).max()]
-        moved = ", ".join(names[k][1] for k in large)
-        moved = f"{moved}{' (together)' if len(large) > 1 else ''}"
-        found.append(_finding(names[large[0]][0], moved, *(names[k][1] for k in large)))
-    return tuple(found)
+class Undetermined(NamedTuple):
+    """The findings, and the number of directions that the observations do not determine."""
+
+    findings: tuple[Finding, ...] = ()
+    directions: int = 0
 
 
-def _finding(kind: str, what: str, *names: str) -> Finding:
-    return Finding(Kind.UNDETERMINED, what, CURES[kind], tuple(Subject(f"{kind}s", (name,)) for name in names))
+class End(NamedTuple):
+    """Where an adjustment ended: the adjusted block; plan, observations and unknowns about `origin`."""
+
+    block: Block
+    plan: Arrangement
+    problem: Problem
+    arranged: Arranged
+    origin: Float[np.ndarray, "3"]
 
 
-def _scaled_matrix(system: ReducedSystem, pair: Int[np.ndarray, "pair 2"]) -> Float[np.ndarray, "kept kept"]:
-    """The reduced matrix in one piece, scaled to the unit diagonal of N; held unknowns have a unit row."""
-    images, d = system.diagonal.shape
-    used = pair[:, 0] < images
-    lower = np.zeros((images, d, images, d))
-    i, j = pair[used].T
-    lower[i, :, j] = np.asarray(system.pool)[used]
-    lower[j, :, i] = np.asarray(system.pool)[used].transpose(0, 2, 1)
-    coupling = np.asarray(system.coupling).reshape(images * d, -1)
-    matrix = np.block([[lower.reshape(images * d, -1), coupling], [coupling.T, np.asarray(system.border)]])
+class Scaled(NamedTuple):
+    """The reduced equations on the host; `root`: square roots of the diagonal of N, 0 for what is held."""
+
+    system: ReducedSystem
+    pair: Int[np.ndarray, "pair 2"]
+    root: Float[np.ndarray, " kept"]
+    end: End
+
+    def product(self, x: Float[np.ndarray, "kept k"]) -> Float[np.ndarray, "kept k"]:
+        """S x."""
+        if self.end.plan.shape.implicit:
+            return self._by_passes(x)
+        system, (images, d) = self.system, self.system.diagonal.shape
+        used = self.pair[:, 0] < images
+        (i, j), blocks = self.pair[used].T, np.asarray(system.pool)[used]
+        at, border = x[: images * d].reshape(images, d, -1), x[images * d :]
+        coupling = np.asarray(system.coupling)
+        out = np.einsum("idb,bk->idk", coupling, border)
+        np.add.at(out, i, np.einsum("pde,pek->pdk", blocks, at[j]))
+        other = i != j
+        np.add.at(out, j[other], np.einsum("ped,pek->pdk", blocks[other], at[i[other]]))
+        of_border = np.einsum("idb,idk->bk", coupling, at) + np.asarray(system.border) @ border
+        return np.concatenate([out.reshape(images * d, -1), of_border])
+
+    def _by_passes(self, x: Float[np.ndarray, "kept k"]) -> Float[np.ndarray, "kept k"]:
+        """S x where S is not formed: one pass through the tiles for each column."""
+        images, d = self.system.diagonal.shape
+        padded = np.zeros((grid_size(x.shape[1]), len(x)))
+        padded[: x.shape[1]] = x.T
+        vectors = KeptVector(
+            on_device(padded[:, : images * d].reshape(-1, images, d)), on_device(padded[:, images * d :])
+        )
+        found = _reduced_products(self.end.arranged, self.end.problem, vectors, optimised=False)
+        both = np.concatenate([on_host(found.images).reshape(len(padded), -1), on_host(found.border)], 1)
+        return both[: x.shape[1]].T
+
+    def matrix(self) -> Float[np.ndarray, "kept kept"]:
+        """S scaled to the unit diagonal of N; held unknowns have a unit row."""
+        scale = np.where(self.root > 0, 1 / np.where(self.root > 0, self.root, 1.0), 0.0)
+        return scale[:, None] * self.product(np.diag(scale)) + np.diag(np.where(self.root > 0, 0.0, 1.0))
+
+
+def undetermined(end: End, found: Inspection, converged: bool) -> Undetermined:
+    """What the observations leave undetermined; concrete values only."""
+    structure, plan = end.block.structure, end.plan
+    loose, loose_directions = _loose_points(structure, plan, found)
+    kept = np.concatenate([np.asarray(found.image_pivots).ravel(), np.asarray(found.border_pivots)])
+    soft = found.softest is not None and not float(found.softest.share) > WEAKEST_SHARE
+    if np.all(kept > WEAKEST_SHARE) and not soft:
+        return Undetermined(loose, loose_directions) if converged else Undetermined()
+    scaled = _scaled(found.system, end)
+    finite = np.isfinite(np.asarray(found.system.pool)[scaled.pair[:, 0] < scaled.system.diagonal.shape[0]]).all()
+    gauge, findings, directions = np.zeros((len(scaled.root), 0)), [], 0
+    if finite and np.isfinite(scaled.root).all():
+        gauge, findings = _gauge(end, scaled, converged)
+        directions = gauge.shape[1]
+    if converged:
+        others, count = _others(structure, plan, scaled, found, gauge)
+        findings, directions = [*findings, *loose, *others], directions + loose_directions + count
+    return Undetermined(tuple(findings), directions)
+
+
+def _loose_points(structure: Structure, plan: Arrangement, found: Inspection) -> tuple[tuple[Finding, ...], int]:
+    """Points that their own rays do not determine, one finding for all."""
+    shares = np.ones(plan.order.points)
+    shares[: plan.places] = on_host(found.point_pivots).ravel()
+    names = [structure.point_names[p] for p in np.nonzero(~(shares[plan.order.point] > WEAKEST_SHARE))[0]]
+    if not names:
+        return (), 0
+    what = f"the observations do not determine {'points' if len(names) > 1 else 'point'} {listed(names)}"
+    return (Finding(Kind.UNDETERMINED, what, CURES["point"], tuple(Subject("points", (n,)) for n in names)),), len(
+        names
+    )
+
+
+def _scaled(system: ReducedSystem, end: End) -> Scaled:
     free = np.concatenate([np.asarray(system.free).ravel(), np.asarray(system.border_free)])
     diagonal = np.concatenate([np.asarray(system.diagonal).ravel(), np.asarray(system.border_diagonal)])
-    scale = np.where(free & (diagonal > 0), 1 / np.sqrt(np.where(diagonal > 0, diagonal, 1.0)), 0.0)
-    return scale[:, None] * matrix * scale + np.diag(np.where(free, 0.0, 1.0))
+    return Scaled(
+        system, np.asarray(end.plan.reduced.pair), np.sqrt(np.where(free & (diagonal > 0), diagonal, 0.0)), end
+    )
 
 
-def kept_names(structure: Structure, a: Arrangement) -> dict[int, tuple[str, str]]:
-    """Kind and name of every kept unknown by its row in the order of elimination."""
+@Compiled
+def _reduced_products(arranged: Arranged, p: Problem, vectors: KeptVector) -> KeptVector:
+    return reduced_products(arranged, p, vectors)
+
+
+@Compiled
+def _similarities(arranged: Arranged, p: Problem) -> NormalVector:
+    return similarities(arranged, p, 7)
+
+
+def _gauge(end: End, scaled: Scaled, converged: bool) -> tuple[Float[np.ndarray, "kept direction"], list[Finding]]:
+    """Similarity transformations of the block and of its parts that no observation notices, orthonormal and scaled."""
+    plan, parts = end.plan, parts_of(end.block.structure)
+    if len(parts) == 1 and not converged:
+        return np.zeros((len(scaled.root), 0)), []  # control has been looked at before the start
+    g = _similarities(end.arranged, end.problem, optimised=False)
+    of_images, of_border = np.asarray(g.images), np.asarray(g.border)
+    whole = np.concatenate([of_images.reshape(7, -1), of_border], 1).T
+    own = _null_combinations(scaled, whole, plan)
+    radius = float(np.sqrt(np.mean(np.sum(np.asarray(end.arranged.images.centre) ** 2, 0))))
+    if len(parts) == 1:
+        gauge = Gauge(own[:7], (own[:7],), parts, end.origin, radius)
+        return _orthonormal(scaled, whole, own, plan), gauge_findings(end.block, gauge)
+    columns, d = [], plan.shape.image
+    for part in parts:
+        mask = np.zeros(len(whole))
+        rows = d * plan.order.image[part.images][:, None] + np.arange(d)
+        mask[rows] = 1.0
+        places = plan.order.point[np.setdiff1d(part.points, part.common)]
+        kept = places[places >= plan.places] - plan.places
+        at = len(whole) - of_border.shape[1] + plan.shape.first_kept_point + 3 * kept[:, None] + np.arange(3)
+        mask[at] = 1.0
+        columns.append(whole * mask[:, None])
+    both = np.concatenate(columns, 1)
+    combined = _null_combinations(scaled, both, plan)
+    if combined.shape[1] <= own.shape[1]:
+        gauge = Gauge(own[:7], (own[:7],), parts[:1], end.origin, radius)
+        return _orthonormal(scaled, whole, own, plan), gauge_findings(end.block, gauge)
+    by_part = tuple(combined[7 * k : 7 * k + 7] for k in range(len(parts)))
+    if end.block.structure.datum.kind in ("minimal", "inner"):
+        by_part = tuple(c - by_part[0] for c in by_part)  # what the parts do in common is the choice of the datum
+    gauge = Gauge(own[:7], by_part, parts, end.origin, radius)
+    return _orthonormal(scaled, both, combined, plan), gauge_findings(end.block, gauge)
+
+
+def _with_own(candidates: Float[np.ndarray, "kept k"], plan: Arrangement) -> Float[np.ndarray, "kept m"]:
+    """The candidates, and unit columns of what may follow them: parameters and kept points of the block."""
+    first = plan.shape.image * plan.order.images + plan.shape.first_parameter
+    extra = np.zeros((len(candidates), len(candidates) - first))
+    extra[first + np.arange(extra.shape[1]), np.arange(extra.shape[1])] = 1.0
+    return np.concatenate([candidates, extra], 1)
+
+
+def _null_combinations(
+    scaled: Scaled, candidates: Float[np.ndarray, "kept k"], plan: Arrangement
+) -> Float[np.ndarray, "m direction"]:
+    """Coefficients of the candidates, and of what may follow them, that leave all observations alone."""
+    x = _with_own(candidates, plan)
+    real = np.ones(len(x), bool)
+    d, images = plan.shape.image, plan.order.images
+    real[: d * images] = np.repeat(np.isin(np.arange(images), plan.order.image), d)
+    free = scaled.root > 0
+    lengths = np.linalg.norm(x * real[:, None], axis=0)
+    basis = np.diag(1 / np.where(lengths > 0, lengths, 1.0))[:, lengths > 0]
+    held = (x @ basis)[real & ~free]
+    _, size, vt = np.linalg.svd(np.concatenate([held, np.zeros((held.shape[1],) * 2)]), full_matrices=False)
+    basis = basis @ vt[size <= HELD].T
+    left, size, vt = np.linalg.svd((x @ basis) * scaled.root[:, None], full_matrices=False)
+    chosen = size > RANK * size.max(initial=0.0)
+    left, basis = left[:, chosen], basis @ (vt[chosen].T / size[chosen])
+    inverse = np.where(free, 1 / np.where(free, scaled.root, 1.0), 0.0)[:, None]
+    energy = left.T @ (inverse * scaled.product(inverse * left))
+    if not np.isfinite(energy).all():
+        return basis[:, :0]
+    values, vectors = np.linalg.eigh((energy + energy.T) / 2)
+    return basis @ vectors[:, values <= WEAKEST_SHARE]
+
+
+def _orthonormal(
+    scaled: Scaled, candidates: Float[np.ndarray, "kept k"], null: Float[np.ndarray, "m direction"], plan: Arrangement
+) -> Float[np.ndarray, "kept direction"]:
+    if not null.shape[1]:
+        return np.zeros((len(candidates), 0))
+    left, size, _ = np.linalg.svd((_with_own(candidates, plan) @ null) * scaled.root[:, None], full_matrices=False)
+    return left[:, size > 1e-8 * size[0]]
+
+
+def _others(
+    structure: Structure, plan: Arrangement, scaled: Scaled, found: Inspection, gauge: Float[np.ndarray, "kept g"]
+) -> tuple[list[Finding], int]:
+    """Directions beside those of similarity transformations, by the unknowns that move."""
+    names, count = kept_names(structure, plan), len(scaled.root)
+    if found.softest is not None:
+        direction = found.softest.direction
+        vector = scaled.root * np.concatenate([np.asarray(direction.images).ravel(), np.asarray(direction.border)])
+        vectors = (vector / np.linalg.norm(vector))[:, None]
+        if not float(found.softest.share) <= WEAKEST_SHARE:
+            vectors = np.eye(count)[:, _failed(found)]
+    elif count > MOST_NAMED:
+        vectors = np.eye(count)[:, _failed(found)[:1]] if not gauge.shape[1] else np.zeros((count, 0))
+    else:
+        matrix = scaled.matrix()
+        if not np.isfinite(matrix).all():
+            return [], 0
+        values, vectors = np.linalg.eigh(matrix)
+        vectors = vectors[:, values <= WEAKEST_SHARE]
+    rest = vectors - gauge @ (gauge.T @ vectors)
+    left, size, _ = np.linalg.svd(rest, full_matrices=False)
+    left = left[:, size > 0.1]  # a null vector is in the span of the others or, but for rounding, at right angles
+    return _by_cause(left, names), left.shape[1]
+
+
+def _failed(found: Inspection) -> Int[np.ndarray, " failed"]:
+    pivots = np.concatenate([np.asarray(found.image_pivots).ravel(), np.asarray(found.border_pivots)])
+    return np.flatnonzero(~(pivots > WEAKEST_SHARE))
+
+
+def _by_cause(null: Float[np.ndarray, "kept direction"], names: dict[int, tuple[str, str, str]]) -> list[Finding]:
+    """One finding for each set of unknowns that move together, whatever basis the null space is given in."""
+    moved = np.linalg.norm(null, axis=1)
+    rows = np.array([k for k in np.flatnonzero(moved > TOGETHER) if k in names], int)
+    if not len(rows):
+        return []
+    projector = np.abs(null[rows] @ null[rows].T) > TOGETHER
+    count, label = connected_components(scipy.sparse.csr_matrix(projector), directed=False)
+    found = []
+    for cause in range(count):
+        own = rows[label == cause]
+        own = own[np.argsort(-moved[own], kind="stable")]
+        own = own[moved[own] > TAKES_PART * moved[own[0]]]
+        subjects = tuple(Subject(f"{kind}s", (name,), element) for kind, name, element in (names[k] for k in own))
+        together = " together" if len(own) > 1 else ""
+        elements = listed([f"{s.component} of {s.table[:-1]} {s.names[0]}".removeprefix(" of ") for s in subjects])
+        what = f"the observations do not determine {elements}{together}"
+        found.append(Finding(Kind.UNDETERMINED, what, CURES[names[own[0]][0]], subjects))
+    return found
+
+
+def kept_names(structure: Structure, a: Arrangement) -> dict[int, tuple[str, str, str]]:
+    """Kind of entity, its name and the element of every kept unknown, by its row in the order of elimination."""
     names = {}
     d, q = a.shape.image, len(structure.interior_columns)
     border = d * a.order.images
     for name, row in zip(structure.image_names, a.order.image, strict=True):
         for k, element in enumerate(structure.exterior_elements):
-            names[d * int(row) + k] = ("image", f"{element} of image {name}")
+            names[d * int(row) + k] = ("image", name, element)
     for camera, row in zip(structure.cameras, a.order.camera, strict=True):
         for j, k in enumerate(structure.interior_columns):
             element = camera.model.elements[k] if k < len(camera.model.elements) else f"element {k}"
             at = d * int(row) + 6 + j if d > 6 else border + q * int(row) + j
-            names[at] = ("camera", f"{element} of camera {camera.name}")
+            names[at] = ("camera", camera.name, element)
     for k, parameter in enumerate(structure.parameters):
-        names[border + a.shape.first_parameter + k] = ("parameter", parameter.name)
+        names[border + a.shape.first_parameter + k] = ("parameter", parameter.name, "")
     for k, p in enumerate(a.kept):
         for c, letter in enumerate("XYZ"):
             row = border + a.shape.first_kept_point + 3 * k + c
-            names[row] = ("point", f"{letter} of point {structure.point_names[p]}")
+            names[row] = ("point", structure.point_names[p], letter)
     return names

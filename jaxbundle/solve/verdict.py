@@ -30,6 +30,7 @@ CURES = {
     Status.SINGULAR: "hold what the observations do not determine, or use the Levenberg-Marquardt method",
     Status.DIVERGED: "give better approximate values, or use the Levenberg-Marquardt method",
     Status.STALLED: "look for gross errors and for unknowns that are hardly determined",
+    Status.CREEPING: "look which standard deviations are large, and observe or hold what they belong to",
     Status.INTERRUPTED: "start again from the adjusted values",
 }
 SIDE = (

@@ -1,0 +1,117 @@
+"""How well control, observed stations and distances determine the datum: covariance of the seven parameters.
+
+Rays tell nothing of a similarity transformation of the whole block, so its precision follows from the other
+observations alone, by the rows A of the datum defect with their weights P:
+
+    Q = (A^T P A)^-1        of (t, r, m) and the block's own parameters, held coordinates as constraints
+
+It needs no normal equations of the block, and is there without standard deviations of the unknowns too.
+"""
+
+from typing import NamedTuple
+
+import numpy as np
+from jaxtyping import Float
+
+from jaxbundle.block.block import Block
+from jaxbundle.block.datum_defect import datum_equations
+from jaxbundle.block.findings import Finding, Kind, Severity, Subject
+from jaxbundle.block.observed_places import Frame, frame_of, observed_places
+from jaxbundle.block.similarity_defect import SimilarityDefect, displacements, similarity_defect
+
+LARGEST_ANGLE = np.deg2rad(10.0)  # standard deviation: beyond, propagation of errors of first order is wrong by 1.5 %
+LARGEST_SHARE = 0.1  # standard deviation of a place, of the block's radius: no map of any scale is drawn from it
+AT_REST = 0.05  # of the largest displacement: places that carry the axis of a rotation
+MOST_NAMED = 6
+
+
+class DatumPrecision(NamedTuple):
+    """Covariance of (t, r, m), t in units of the radius; for the a-priori sigmas."""
+
+    covariance: Float[np.ndarray, "7 7"]
+    frame: Frame
+
+
+def datum_precision(block: Block) -> DatumPrecision | None:
+    """Precision of the datum of a block; None where it has a defect, or is nothing but held elements."""
+    equations = datum_equations(block)
+    if equations is None or not equations.weighted.size:
+        return None
+    free = equations.free
+    columns = np.eye(len(free))[:, free]
+    held = equations.fixed @ columns
+    if held.size:
+        _, size, vt = np.linalg.svd(np.concatenate([held, np.zeros((held.shape[1],) * 2)]), full_matrices=False)
+        columns = columns @ vt[size <= 1e-8 * max(size.max(initial=0.0), 1.0)].T
+    rows = equations.weighted @ columns
+    if not columns.shape[1] or not np.isfinite(rows).all():
+        return None
+    lengths = np.linalg.norm(rows, axis=0)
+    if not (lengths > 0).all():
+        return None
+    _, size, vt = np.linalg.svd(rows / lengths, full_matrices=False)
+    if len(size) < columns.shape[1] or size.min() <= 1e-12 * size.max():
+        return None
+    root = (columns @ (vt / lengths).T / size)[:7]
+    return DatumPrecision(root @ root.T, frame_of(block))
+
+
+def weak_datum(block: Block, sigma0: float) -> tuple[Finding, ...]:
+    """A finding where the weakest direction of the datum has no usable standard deviation.
+
+    `sigma0` enlarges no sigma: large residuals have other causes, which are found elsewhere.
+    """
+    if block.structure.datum.kind != "control":
+        return ()
+    precision = datum_precision(block)
+    if precision is None:
+        return ()
+    factor = min(sigma0, 1.0) if np.isfinite(sigma0) else 1.0
+    frame, points = precision.frame, np.asarray(precision.frame.block.object_points)
+    points = points[np.isfinite(points).all(1)]
+    values, vectors = np.linalg.eigh(factor**2 * precision.covariance)
+    worst = vectors[:, -1:] * np.sqrt(max(values[-1], 0.0))
+    moved = np.linalg.norm(displacements(worst, points, frame.radius)[0], axis=1)
+    extent = float(np.median(np.linalg.norm(points - np.median(points, 0), axis=1)))
+    angle = float(np.linalg.norm(worst[3:6]))
+    if angle <= LARGEST_ANGLE and np.median(moved) <= LARGEST_SHARE * extent:
+        return ()
+    return (_finding(block, worst, float(moved.max()), angle),)
+
+
+def _finding(block: Block, worst: Float[np.ndarray, "7 1"], moved: float, angle: float) -> Finding:
+    """The weakest direction in words, as the similarity transformation that it mostly is."""
+    unit = block.structure.object_unit
+    places = observed_places(block)
+    frame = frame_of(block)
+    size = np.linalg.norm(
+        displacements(worst, np.array([p for *_, p in places]) - frame.centre, frame.radius)[0], axis=1
+    )
+    resting = [places[k] for k in np.flatnonzero(size <= AT_REST * moved)]
+    what, turns = similarity_words(worst)
+    if turns and len(resting) > 1:
+        what = f"the rotation about the line through {_listed([name for _, name, _ in resting])}"
+    sized = f"{np.rad2deg(angle):.3g} deg" if turns else f"{moved:.3g} {unit}"
+    what = (
+        f"control and observed stations determine {what} with a standard deviation of {sized} only:"
+        f" points are uncertain by up to {moved:.3g} {unit}"
+    )
+    cure = "add control, or observed stations, away from the line of those that are there"
+    subjects = tuple(Subject("control" if table == "point" else "stations", (name,)) for table, name, _ in resting)
+    return Finding(Kind.IMPRECISE, what, cure, subjects, moved, unit, Severity.FAILED)
+
+
+def similarity_words(direction: Float[np.ndarray, "7 1"]) -> tuple[str, bool]:
+    """The parameter that a direction mostly is, and whether that is a rotation."""
+    # a rotation or a change of scale about a place off the centre comes with a shift of the centre
+    shares = [1e-3 * np.linalg.norm(direction[:3]), np.linalg.norm(direction[3:6]), abs(float(direction[6, 0]))]
+    kind, unit = int(np.argmax(shares)), np.zeros(7)
+    rows = (slice(0, 3), slice(3, 6), slice(6, 7))[kind]
+    unit[rows] = direction[rows, 0] / shares[kind]
+    found: SimilarityDefect = similarity_defect(unit[:, None])
+    return found.words, kind == 1
+
+
+def _listed(names: list[str]) -> str:
+    more = len(names) - MOST_NAMED
+    return ", ".join(names[:MOST_NAMED]) + (f" and {more} more" if more > 0 else "")
