@@ -76,7 +76,7 @@ def test_a_turned_image_is_resected(simulated):
     others = np.arange(len(angles)) != 2
     np.testing.assert_array_equal(checked.exterior.angles[others], simulated.exterior.angles[others])
     np.testing.assert_array_equal(checked.object_points, simulated.object_points)
-    assert agreement(checked) < 3  # as rough as the others
+    assert agreement(checked) < 1.5 * agreement(simulated)
 
 
 def test_all_images_at_the_origin_are_resected(simulated):
@@ -86,7 +86,7 @@ def test_all_images_at_the_origin_are_resected(simulated):
     checked, (replaced,) = with_checked_start(nothing)
     assert replaced.kind is Kind.REPAIRED
     assert images_of(replaced) == set(simulated.structure.image_names)
-    assert agreement(checked) < 3
+    assert agreement(checked) < 1.5 * agreement(simulated)
 
 
 def test_images_that_are_held_are_never_changed(simulated):
@@ -119,7 +119,7 @@ def test_points_at_the_origin_are_intersected(simulated):
     checked, (replaced,) = with_checked_start(block)
     assert {subject.table for subject in replaced.subjects} == {"points"}
     np.testing.assert_array_equal(checked.object_points[~free.all(1)], simulated.object_points[~free.all(1)])
-    assert agreement(checked) < 3
+    assert agreement(checked) < 1.5 * agreement(simulated)
 
 
 def test_mirrored_images_are_not_repaired(simulated):
@@ -164,5 +164,7 @@ def test_the_adjustment_then_gives_the_right_result(shared_data, tmp_path: Path,
     right = jb.adjust(jb.read(shared_data / "strasbourg-s4-tie"), precision=False)
     checked, _ = with_checked_start(jb.read(made(shared_data, mistake, tmp_path)))
     found = jb.adjust(checked, precision=False)
-    np.testing.assert_allclose(found.block.exterior.projection_centre, right.block.exterior.projection_centre, atol=1e-5)
+    np.testing.assert_allclose(
+        found.block.exterior.projection_centre, right.block.exterior.projection_centre, atol=1e-5
+    )
     assert float(found.sigma0) == pytest.approx(float(right.sigma0), rel=1e-9)

@@ -75,10 +75,7 @@ def of_attitudes(given: Given) -> list[Alternative]:
     others = {
         f"{last} of opposite sign": (given.angles * [1, 1, -1], last),
         f"{first} and {middle} exchanged": (given.angles[:, [1, 0, 2]], first),
-        **{
-            f"angles in {unit}": (given.angles * factor, "")
-            for unit, factor in _units(given.unit).items()
-        },
+        **{f"angles in {unit}": (given.angles * factor, "") for unit, factor in _units(given.unit).items()},
     }
     alternatives = [
         Alternative(words, "attitudes", component, _attitudes(given.sight, given.system, angles))

@@ -63,7 +63,9 @@ def oriented(
             tasks.append(_Task(i, rays if len(rays) <= POINTS else rng.choice(rays, POINTS, replace=False)))
             if len(rays) > GROUP:
                 tasks += [_Task(i, rng.choice(rays, GROUP, replace=False)) for _ in range(GROUPS)]
-    best = Oriented(*(np.full(s, np.nan) for s in ((len(images), 3, 3), (len(images), 3), (len(images), 3))), *_nan(images))
+    best = Oriented(
+        *(np.full(s, np.nan) for s in ((len(images), 3, 3), (len(images), 3), (len(images), 3))), *_nan(images)
+    )
     place = {int(i): k for k, i in enumerate(images)}
     for first in range(0, len(tasks), IMAGES):
         part = tasks[first : first + IMAGES]
@@ -107,8 +109,8 @@ def _many(
     plane: Float[Array, "image point 2"],
     sigmas: Float[Array, "image point 2"],
 ) -> tuple[Array, Array, Array, Array]:
-    found = jax.vmap(
-        lambda x, y, s: resection(DISTORTION_FREE, jnp.array(UNIT_CAMERA), x, y, s, system=system)
-    )(points, plane, sigmas)
+    found = jax.vmap(lambda x, y, s: resection(DISTORTION_FREE, jnp.array(UNIT_CAMERA), x, y, s, system=system))(
+        points, plane, sigmas
+    )
     rotation = jnp.stack(system.rotation_from_angles(*found.angles.T), -1)
     return rotation, found.projection_centre, found.angles, found.status

@@ -21,11 +21,13 @@ def named(names: list[str]) -> str:
 
 
 def counted(count: int, what: str) -> str:
-    """"1 image", "5 images"."""
+    """ "1 image", "5 images"."""
     return f"{count} {what}" if count == 1 else f"{count} {what}s"
 
 
-def turned(first: Float[np.ndarray, "image 3 3"], second: Float[np.ndarray, "image 3 3"]) -> Float[np.ndarray, " image"]:
+def turned(
+    first: Float[np.ndarray, "image 3 3"], second: Float[np.ndarray, "image 3 3"]
+) -> Float[np.ndarray, " image"]:
     """Angles of the rotations that lead from the first attitudes to the second, in radians."""
     trace = np.einsum("kij,kij->k", first, second)
     return np.arccos(np.clip((trace - 1) / 2, -1.0, 1.0))
@@ -37,7 +39,10 @@ def replaced_images(block: Block, replaced: Bool[np.ndarray, " image"], now: Sig
     if not replaced.any():
         return []
     chosen = np.flatnonzero(replaced)
-    before = np.stack([on_host(x) for x in structure.rotation_system.rotation_from_angles(*on_host(block.exterior.angles)[chosen].T)], -1)
+    before = np.stack(
+        [on_host(x) for x in structure.rotation_system.rotation_from_angles(*on_host(block.exterior.angles)[chosen].T)],
+        -1,
+    )
     angle = turned(before.reshape(-1, 3, 3), now.rotation[chosen]) * PER_RADIAN[structure.angle_unit]
     distance = np.linalg.norm(now.centre[chosen] - on_host(block.exterior.projection_centre)[chosen], axis=1)
     order = np.argsort(-angle)
@@ -48,7 +53,16 @@ def replaced_images(block: Block, replaced: Bool[np.ndarray, " image"], now: Sig
     what = f"the approximate orientation of {counted(len(parts), 'image')} was replaced by a resection from its points: {named(parts)}"
     cure = "correct images.csv: the given values do not agree with the rays"
     subjects = tuple(Subject("images", (structure.image_names[chosen[k]],)) for k in order)
-    return [Finding(Kind.REPAIRED, what.replace("its points", "their points") if len(parts) > 1 else what, cure, subjects, float(angle.max()), structure.angle_unit)]
+    return [
+        Finding(
+            Kind.REPAIRED,
+            what.replace("its points", "their points") if len(parts) > 1 else what,
+            cure,
+            subjects,
+            float(angle.max()),
+            structure.angle_unit,
+        )
+    ]
 
 
 def replaced_points(

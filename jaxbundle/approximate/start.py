@@ -16,7 +16,15 @@ from jaxtyping import Bool, Float, Int
 from jaxbundle.approximate.alternatives import mirrored
 from jaxbundle.approximate.oriented import Oriented, oriented
 from jaxbundle.approximate.replaced import hopeless_points, replaced_images, replaced_points
-from jaxbundle.approximate.sight import Sight, intersected, medians, mostly_beyond, photo_vectors, relative_off, sight_of
+from jaxbundle.approximate.sight import (
+    Sight,
+    intersected,
+    medians,
+    mostly_beyond,
+    photo_vectors,
+    relative_off,
+    sight_of,
+)
 from jaxbundle.block.block import Block
 from jaxbundle.block.findings import Finding
 from jaxbundle.geometry.rotation import RotationSystem
@@ -174,9 +182,7 @@ def _met(
     return points, (sight.is_known | meet.in_front)[sight.point]
 
 
-def _points_of_others(
-    sight: Sight, image: int
-) -> tuple[Float[np.ndarray, "point 3"], Bool[np.ndarray, " ray"]]:
+def _points_of_others(sight: Sight, image: int) -> tuple[Float[np.ndarray, "point 3"], Bool[np.ndarray, " ray"]]:
     return _met(sight, np.arange(len(sight.centre)) != image)
 
 
@@ -202,7 +208,9 @@ def _resected(
     return _Start(sight._replace(rotation=rotation, centre=centre), angles)
 
 
-def sure(new: Oriented, field: Float[np.ndarray, " image"], now: Float[np.ndarray, " image"]) -> Bool[np.ndarray, " image"]:
+def sure(
+    new: Oriented, field: Float[np.ndarray, " image"], now: Float[np.ndarray, " image"]
+) -> Bool[np.ndarray, " image"]:
     """Whether orientations are beyond doubt: `now` is the median angle off of the given ones, in fields."""
     relative = new.median / field
     return (relative <= ROUGH_FIT) & (relative <= FAR_SMALLER * now) & (new.behind <= FAR_SMALLER)

@@ -61,10 +61,14 @@ def _extreme_sigmas(block: Block) -> list[Finding]:
             f" others: {named([f'point {point} on image {image}' for image, point in names])}"
         )
         subjects = tuple(Subject("rays", name) for name in names)
-        findings.append(Finding(Kind.SIGMAS, what, "correct the sigma, and its unit", subjects, float(sigmas[few].min())))
+        findings.append(
+            Finding(Kind.SIGMAS, what, "correct the sigma, and its unit", subjects, float(sigmas[few].min()))
+        )
     for group in block.groups:
         if group.structure.kind is CONTROL and group.covariances is None:
-            findings += _extreme_control(block, group.structure.indices[:, 0], np.asarray(group.sigmas), group.structure.observed)
+            findings += _extreme_control(
+                block, group.structure.indices[:, 0], np.asarray(group.sigmas), group.structure.observed
+            )
     return findings
 
 
@@ -120,7 +124,9 @@ def _wrong_control(start: Block, adjustment: Adjustment) -> list[Finding]:
 
 def _as_observed(block: Block) -> _Loose | None:
     """The block with held control points observed instead, in the same group as the others."""
-    groups = [k for k, group in enumerate(block.groups) if group.structure.kind is CONTROL and group.covariances is None]
+    groups = [
+        k for k, group in enumerate(block.groups) if group.structure.kind is CONTROL and group.covariances is None
+    ]
     free = block.structure.point_free
     held = np.flatnonzero(~free.all(1))
     if len(groups) > 1 or (not groups and not len(held)):
@@ -174,9 +180,7 @@ def _started_where_rays_meet(block: Block) -> Block:
     meet = intersected(sight)
     far = np.linalg.norm(meet.points - sight.points, axis=1) > FAR * _depth(block)
     moved = sight.is_known & meet.in_front & far
-    return eqx.tree_at(
-        lambda b: b.object_points, block, on_device(np.where(moved[:, None], meet.points, sight.points))
-    )
+    return eqx.tree_at(lambda b: b.object_points, block, on_device(np.where(moved[:, None], meet.points, sight.points)))
 
 
 def _distances(
@@ -230,6 +234,8 @@ def _named(start: Block, control: _Loose, wrong: Bool[np.ndarray, " member"], wi
         f"without {'control point' if one else 'control points'} {named(names)} the adjustment converges with sigma0"
         f" {float(without.sigma0):.4g}; errors of the given X, Y, Z: {named(parts)}"
     )
-    cure = f"check {'its' if one else 'their'} coordinates and name{'' if one else 's'}, or drop {'it' if one else 'them'}"
+    cure = (
+        f"check {'its' if one else 'their'} coordinates and name{'' if one else 's'}, or drop {'it' if one else 'them'}"
+    )
     subjects = tuple(Subject("control", (name,)) for name in names)
     return Finding(Kind.SUSPECT, what, cure, subjects, float(size.max()), s.object_unit)

@@ -25,6 +25,8 @@ from jaxbundle.block.findings import Finding, Kind, Severity, Subject
 
 MOST = 0.5  # share of an image's rays behind that is told
 FEW_BEHIND = 0.01  # share of all rays: real blocks have some far or wrong points behind
+ALIKE = 2.0  # times the angles off under the best cause: causes that are named together
+MOST_CAUSES = 2
 ONE_PLACE = 1e-9  # of the coordinates
 LEAST_KNOWN = 4  # rays of control that tell a mirrored system without other points
 
@@ -70,7 +72,9 @@ def start_findings(block: Block, given: Sight, checked: CheckedStart, told_point
     remaining = checked.suspects
     if remaining.any() and not same:
         findings.append(_unexplained(block, reference, remaining))
-    believed = ~np.isin(np.array(s.point_names), list(told_points)) if told_points else np.ones(len(s.point_names), bool)
+    believed = (
+        ~np.isin(np.array(s.point_names), list(told_points)) if told_points else np.ones(len(s.point_names), bool)
+    )
     return findings if same else [*findings, *_behind(block, reference, believed[reference.point])]
 
 
@@ -92,8 +96,12 @@ def _confusions(block: Block, sight: Sight) -> list[tuple[str, Bool[np.ndarray, 
         if not most:
             break
         equal = [k for k, e in enumerate(explained) if e.sum() == most]
-        best = min(equal, key=lambda k: (not alternatives[k].usual, _median(rest[k], explained[k])))
-        found.append((alternatives[best].words, explained[best], alternatives[best].component))
+        usual = [k for k in equal if alternatives[k].usual] or equal
+        least = {k: _median(rest[k], explained[k]) for k in usual}
+        best = min(usual, key=least.__getitem__)
+        alike = [k for k in usual if least[k] <= ALIKE * least[best]]  # a rough start cannot tell them apart
+        words = " or ".join(alternatives[k].words for k in alike[:MOST_CAUSES])
+        found.append((words, explained[best], alternatives[best].component))
         open_images = open_images & ~explained[best]
     return found
 
@@ -138,7 +146,9 @@ def _one_place(block: Block) -> list[Finding]:
         return []
     place = ", ".join(f"{x:g}" for x in centres[0])
     what = f"all {len(centres)} images have their approximate projection centre in one place ({place})"
-    return [Finding(Kind.START, what, "give each image its own X0, Y0, Z0", _subjects(block, np.ones(len(centres), bool)))]
+    return [
+        Finding(Kind.START, what, "give each image its own X0, Y0, Z0", _subjects(block, np.ones(len(centres), bool)))
+    ]
 
 
 def _behind(block: Block, sight: Sight, judged: Bool[np.ndarray, " ray"]) -> list[Finding]:
@@ -168,7 +178,12 @@ def _behind(block: Block, sight: Sight, judged: Bool[np.ndarray, " ray"]) -> lis
 def two_roles(block: Block) -> list[Finding]:
     """Check points that are control as well."""
     s = block.structure
-    control = {int(p) for group in block.groups if group.structure.kind.name == "control" for p in group.structure.indices[:, 0]}
+    control = {
+        int(p)
+        for group in block.groups
+        if group.structure.kind.name == "control"
+        for p in group.structure.indices[:, 0]
+    }
     control |= set(np.flatnonzero(~s.point_free.any(1)).tolist())
     names = [s.point_names[p] for p in s.check_point.tolist() if p in control]
     if not names:

@@ -24,7 +24,7 @@ MARGIN = 0.01  # of the format: marks on the border of scanned film lie a little
 FEW = 0.01  # share of rays outside that may be single errors of measurement
 SLIVER = 0.1  # of width and of height: blocks fill more, of ten rays and more
 LEAST_RAYS = 10
-HALF_FULL = (0.35, 0.5 + MARGIN)  # of the format, reached by the rays of an image of half resolution
+HALF_FULL = (0.25, 0.5 + 2 * MARGIN)  # of the format, reached by the rays of an image of half resolution
 Coordinates = Float[np.ndarray, "ray 2"]
 
 
@@ -94,7 +94,16 @@ def _of_camera(block: Block, form: _Format, rays: Int[np.ndarray, " ray"], xy: C
     for words, cure, changed in _causes(block, form):
         new = changed(xy)
         if not _outside(form, new).any() and (_fills(form, new) or len(rays) < LEAST_RAYS):
-            return [Finding(Kind.FORMAT, f"{where}; none would {words}" if count else f"{where}; they would fill it {words}", cure, subject, count, "rays")]
+            return [
+                Finding(
+                    Kind.FORMAT,
+                    f"{where}; none would {words}" if count else f"{where}; they would fill it {words}",
+                    cure,
+                    subject,
+                    count,
+                    "rays",
+                )
+            ]
     cure = f"check image_unit, width and height of camera {camera}, and the origin of its image coordinates"
     return [Finding(Kind.FORMAT, where, cure, subject, count, "rays")]
 
@@ -104,7 +113,9 @@ def _single(block: Block, form: _Format, rays: Int[np.ndarray, " ray"]) -> Findi
     far = np.maximum(np.maximum(-xy, xy - form.size), 0).max(1)
     order = np.argsort(-far)
     names = [(s.image_names[s.ray_image[rays[k]]], s.point_names[s.ray_point[rays[k]]]) for k in order]
-    listing = named([f"point {point} on image {image} by {far[k]:.4g} px" for (image, point), k in zip(names, order, strict=True)])
+    listing = named(
+        [f"point {point} on image {image} by {far[k]:.4g} px" for (image, point), k in zip(names, order, strict=True)]
+    )
     what = f"{counted(len(rays), 'ray')} outside of the format {form.words}: {listing}"
     subjects = tuple(Subject("rays", name) for name in names)
     return Finding(Kind.FORMAT, what, "measure again or drop", subjects, float(far.max()), "px", Severity.CHECK)

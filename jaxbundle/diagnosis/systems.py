@@ -16,6 +16,7 @@ from jaxbundle.block.findings import Finding, Kind, Severity, Subject
 
 LEAST = 3  # control points with two rays and more
 NEAR, FAR = 0.1, 1.0  # of the depth: by more a cause is looked for, by more control is in another system without one
+ROUGH = 0.3  # of the depth: what rough orientations leave
 AGREES = 0.1  # of the differences, left by a cause that is named
 OUTLYING = 8.0  # fields off, times the median of the others: rough starts give the worst of twelve four times
 DISTANT = 2.5  # distance, times the median of the others: weak intersections scatter along the depth
@@ -69,7 +70,7 @@ def _whole(block: Block, control: _Control) -> list[Finding]:
     subjects = tuple(Subject("control", (s.point_names[k],)) for k in control.index)
     for words, cure, changed in _changes(given):
         rest = np.median(np.linalg.norm(changed - met, axis=1))
-        if rest <= AGREES * off:
+        if rest <= AGREES * off and rest <= ROUGH * control.depth:
             what += f"; {words} it would be {rest:.4g} {s.object_unit}"
             return [Finding(Kind.CONTROL_SYSTEM, what, cure, subjects, float(off), s.object_unit)]
     if off <= FAR * control.depth:
@@ -81,7 +82,7 @@ def _whole(block: Block, control: _Control) -> list[Finding]:
     rest = np.median(np.linalg.norm(given + shift - met, axis=1))
     grade = None
     cure = "give control, images and points in one coordinate system"
-    if rest <= AGREES * off:
+    if rest <= AGREES * off and rest <= ROUGH * control.depth:
         by = ", ".join(f"{x:.6g}" for x in shift)
         what += f"; with a shift of ({by}) it would be {rest:.4g} {s.object_unit}"
         cure, grade = "the origins differ: give control, images and points in one coordinate system", Severity.CHECK
@@ -111,7 +112,11 @@ def _single(block: Block, control: _Control) -> list[Finding]:
     """Points that are far off while the others agree, the worst first; exchanged pairs as one."""
     s, off = block.structure, control.off
     limits = ((off, DISTANT), (control.seen, OUTLYING))
-    suspects = [k for k in np.argsort(-off) if control.seen[k] > SEEN_SINGLE and all(v[k] > f * _typical(v, k) for v, f in limits)]
+    suspects = [
+        k
+        for k in np.argsort(-off)
+        if control.seen[k] > SEEN_SINGLE and all(v[k] > f * _typical(v, k) for v, f in limits)
+    ]
     if 2 * len(suspects) >= len(off):
         return []
     findings, done = [], set()
@@ -129,7 +134,9 @@ def _single(block: Block, control: _Control) -> list[Finding]:
             subjects, cure = (*subjects, Subject("control", (other,))), "exchange the two names"
         elif _agrees(np.linalg.norm(control.given[k][[1, 0, 2]] - control.met[k]), off[k], typical):
             what, cure = f"{what}; with X and Y exchanged it would agree", "exchange its X and Y"
-        findings.append(Finding(Kind.CONTROL_SYSTEM, what, cure, subjects, float(off[k]), s.object_unit, Severity.CHECK))
+        findings.append(
+            Finding(Kind.CONTROL_SYSTEM, what, cure, subjects, float(off[k]), s.object_unit, Severity.CHECK)
+        )
     return findings
 
 
