@@ -7,13 +7,13 @@ import equinox as eqx
 import jax.numpy as jnp
 import numpy as np
 import pytest
+from mistakes import made
 
 import jaxbundle as jb
 from jaxbundle.approximate.sight import HALF, off, sight_of
 from jaxbundle.approximate.start import with_checked_start
 from jaxbundle.block.block import Block
 from jaxbundle.block.findings import Finding, Kind, Severity, Subject
-from mistakes import made
 
 pytestmark = pytest.mark.xdist_group("start")
 DATA_SETS = (

@@ -141,7 +141,7 @@ def _unexplained(block: Block, sight: Sight, images: Bool[np.ndarray, " image"])
 
 def _one_place(block: Block) -> list[Finding]:
     """All stations equal."""
-    centres, s = np.asarray(block.exterior.projection_centre), block.structure
+    centres = np.asarray(block.exterior.projection_centre)
     if len(centres) < 2 or np.abs(centres - centres[0]).max() > ONE_PLACE * max(np.abs(centres).max(), 1e-300):
         return []
     place = ", ".join(f"{x:g}" for x in centres[0])
@@ -169,7 +169,8 @@ def _behind(block: Block, sight: Sight, judged: Bool[np.ndarray, " ray"]) -> lis
     images = count > MOST * rays
     if images.any() or behind.sum() > FEW_BEHIND * len(behind):
         images |= (count > 0) & ~images.any()
-        what = f"{behind.sum()} of {len(behind)} rays have their approximate point behind the camera: {_whom(block, images)}"
+        share = f"{behind.sum()} of {len(behind)} rays"
+        what = f"{share} have their approximate point behind the camera: {_whom(block, images)}"
         cure = "check the signs of Z0 and of the angles, and whether y of the image coordinates points up or down"
         findings.append(Finding(Kind.START, what, cure, _subjects(block, images), float(behind.sum()), "rays"))
     return findings

@@ -1,6 +1,7 @@
 """Rays against the format of their camera: are they inside, and do they fill it?
 
-px cameras have their origin in the top left corner, x to the right, y down: inside is 0 <= x <= width, 0 <= y <= height.
+px cameras have their origin in the top left corner, x to the right, y down: inside is 0 <= x <= width and
+0 <= y <= height.
 Where rays are outside or in a sliver of the format, what people confuse is tried: the likely cause is what brings all
 inside. What a format cannot tell (mirrored coordinates, half resolution) the approximate orientations tell.
 """

@@ -125,12 +125,18 @@ def _single(block: Block, control: _Control) -> list[Finding]:
             continue
         name, typical = s.point_names[control.index[k]], _typical(off, k)
         partner = next((j for j in suspects if j != k and j not in done and _exchanged(control, k, j)), None)
-        what = f"control point {name} lies {off[k]:.4g} {s.object_unit} from where its rays meet, the others {typical:.3g} {s.object_unit} (median)"
+        what = (
+            f"control point {name} lies {off[k]:.4g} {s.object_unit} from where its rays meet, the others"
+            f" {typical:.3g} {s.object_unit} (median)"
+        )
         subjects, cure = (Subject("control", (name,)),), "check its coordinates and its name"
         if partner is not None:
             other = s.point_names[control.index[partner]]
             done.add(partner)
-            what = f"control points {name} and {other} lie {off[k]:.4g} and {off[partner]:.4g} {s.object_unit} from where their rays meet; with their names exchanged they would agree"
+            what = (
+                f"control points {name} and {other} lie {off[k]:.4g} and {off[partner]:.4g} {s.object_unit} from where"
+                " their rays meet; with their names exchanged they would agree"
+            )
             subjects, cure = (*subjects, Subject("control", (other,))), "exchange the two names"
         elif _agrees(np.linalg.norm(control.given[k][[1, 0, 2]] - control.met[k]), off[k], typical):
             what, cure = f"{what}; with X and Y exchanged it would agree", "exchange its X and Y"
