@@ -163,6 +163,7 @@ def _far_off(control: _Loose) -> Bool[np.ndarray, " member"] | None:
     observed, values = group.structure.observed, np.asarray(group.values)
     sigma = np.full(len(values), LOOSE * _depth(block))
     factor = np.maximum(1.0, (_distances(block, control.point, values, observed) / sigma) ** 2)
+    distance = np.zeros(len(values))
     for _ in range(ROUNDS):
         loose = np.where(observed, (sigma * factor)[:, None], 1.0)
         block = eqx.tree_at(lambda b: b.groups[control.group].sigmas, block, on_device(loose))

@@ -28,7 +28,7 @@ US_FOOT, FOOT = 1200 / 3937, 0.3048
 class _Control(NamedTuple):
     """Points with control coordinates and two rays or more: coordinates as given and as intersected, fields off."""
 
-    index: Int[np.ndarray, " control"]
+    point: Int[np.ndarray, " control"]
     given: Float[np.ndarray, "control 3"]
     met: Float[np.ndarray, "control 3"]
     seen: Float[np.ndarray, " control"]
@@ -43,7 +43,7 @@ def control_findings(block: Block, sight: Sight) -> list[Finding]:
     """Control in another system than the approximate orientations, and single control points that are far off."""
     control = _control(sight)
     same = _coinciding(block, sight)
-    if len(control.index) < LEAST:
+    if len(control.point) < LEAST:
         return same
     if np.median(control.off) > NEAR * control.depth and np.median(control.seen) > SEEN:
         whole = _whole(block, control)
@@ -67,7 +67,7 @@ def _whole(block: Block, control: _Control) -> list[Finding]:
     s = block.structure
     given, met, off = control.given, control.met, np.median(control.off)
     what = f"the {len(given)} control points lie {off:.4g} {s.object_unit} (median) from where their rays meet"
-    subjects = tuple(Subject("control", (s.point_names[k],)) for k in control.index)
+    subjects = tuple(Subject("control", (s.point_names[k],)) for k in control.point)
     for words, cure, changed in _changes(given):
         rest = np.median(np.linalg.norm(changed - met, axis=1))
         if rest <= AGREES * off and rest <= ROUGH * control.depth:
@@ -123,7 +123,7 @@ def _single(block: Block, control: _Control) -> list[Finding]:
     for k in suspects:
         if k in done:
             continue
-        name, typical = s.point_names[control.index[k]], _typical(off, k)
+        name, typical = s.point_names[control.point[k]], _typical(off, k)
         partner = next((j for j in suspects if j != k and j not in done and _exchanged(control, k, j)), None)
         what = (
             f"control point {name} lies {off[k]:.4g} {s.object_unit} from where its rays meet, the others"
@@ -131,14 +131,14 @@ def _single(block: Block, control: _Control) -> list[Finding]:
         )
         subjects, cure = (Subject("control", (name,)),), "check its coordinates and its name"
         if partner is not None:
-            other = s.point_names[control.index[partner]]
+            other = s.point_names[control.point[partner]]
             done.add(partner)
             what = (
                 f"control points {name} and {other} lie {off[k]:.4g} and {off[partner]:.4g} {s.object_unit} from where"
                 " their rays meet; with their names exchanged they would agree"
             )
             subjects, cure = (*subjects, Subject("control", (other,))), "exchange the two names"
-        elif _agrees(np.linalg.norm(control.given[k][[1, 0, 2]] - control.met[k]), off[k], typical):
+        elif _agrees(float(np.linalg.norm(control.given[k][[1, 0, 2]] - control.met[k])), float(off[k]), typical):
             what, cure = f"{what}; with X and Y exchanged it would agree", "exchange its X and Y"
         findings.append(
             Finding(Kind.CONTROL_SYSTEM, what, cure, subjects, float(off[k]), s.object_unit, Severity.CHECK)
@@ -154,13 +154,13 @@ def _typical(values: Float[np.ndarray, " control"], k: int) -> float:
 
 def _agrees(rest: float, off: float, typical: float) -> bool:
     """Whether what a cause leaves of a difference is small, or as that of the others."""
-    return bool(rest <= max(PAIR * off, min(2 * typical, 0.5 * off)))
+    return rest <= max(PAIR * off, min(2 * typical, 0.5 * off))
 
 
 def _exchanged(control: _Control, k: int, j: int) -> bool:
-    near = [np.linalg.norm(control.given[a] - control.met[b]) for a, b in ((k, j), (j, k))]
+    near = [float(np.linalg.norm(control.given[a] - control.met[b])) for a, b in ((k, j), (j, k))]
     typical = _typical(control.off, k)
-    return _agrees(near[0], control.off[j], typical) and _agrees(near[1], control.off[k], typical)
+    return _agrees(near[0], float(control.off[j]), typical) and _agrees(near[1], float(control.off[k]), typical)
 
 
 def _coinciding(block: Block, sight: Sight) -> list[Finding]:
