@@ -63,9 +63,8 @@ def oriented(
             tasks.append(_Task(i, rays if len(rays) <= POINTS else rng.choice(rays, POINTS, replace=False)))
             if len(rays) > GROUP:
                 tasks += [_Task(i, rng.choice(rays, GROUP, replace=False)) for _ in range(GROUPS)]
-    best = Oriented(
-        *(np.full(s, np.nan) for s in ((len(images), 3, 3), (len(images), 3), (len(images), 3))), *_nan(images)
-    )
+    count = len(images)
+    best = Oriented(_nan(count, 3, 3), _nan(count, 3), _nan(count, 3), _nan(count), _nan(count))
     place = {int(i): k for k, i in enumerate(images)}
     for first in range(0, len(tasks), IMAGES):
         part = tasks[first : first + IMAGES]
@@ -81,8 +80,8 @@ def oriented(
     return best
 
 
-def _nan(images: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
-    return np.full(len(images), np.nan), np.full(len(images), np.nan)
+def _nan(*shape: int) -> np.ndarray:
+    return np.full(shape, np.nan)
 
 
 def _resected(

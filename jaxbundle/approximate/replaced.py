@@ -47,10 +47,14 @@ def replaced_images(block: Block, replaced: Bool[np.ndarray, " image"], now: Sig
     distance = np.linalg.norm(now.centre[chosen] - on_host(block.exterior.projection_centre)[chosen], axis=1)
     order = np.argsort(-angle)
     parts = [
-        f"{structure.image_names[chosen[k]]} by {angle[k]:.4g} {structure.angle_unit} and {distance[k]:.4g} {structure.object_unit}"
+        f"{structure.image_names[chosen[k]]} by {angle[k]:.4g} {structure.angle_unit}"
+        f" and {distance[k]:.4g} {structure.object_unit}"
         for k in order
     ]
-    what = f"the approximate orientation of {counted(len(parts), 'image')} was replaced by a resection from its points: {named(parts)}"
+    what = (
+        f"the approximate orientation of {counted(len(parts), 'image')} was replaced by a resection from its points:"
+        f" {named(parts)}"
+    )
     cure = "correct images.csv: the given values do not agree with the rays"
     subjects = tuple(Subject("images", (structure.image_names[chosen[k]],)) for k in order)
     return [
@@ -77,7 +81,10 @@ def replaced_points(
     order = np.argsort(-distance)
     parts = [f"{structure.point_names[chosen[k]]} by {distance[k]:.4g} {structure.object_unit}" for k in order]
     whose = "its rays" if len(parts) == 1 else "their rays"
-    what = f"the approximate coordinates of {counted(len(parts), 'point')} were replaced by the intersection of {whose}: {named(parts)}"
+    what = (
+        f"the approximate coordinates of {counted(len(parts), 'point')} were replaced by the intersection of {whose}:"
+        f" {named(parts)}"
+    )
     subjects = tuple(Subject("points", (structure.point_names[chosen[k]],)) for k in order)
     return [Finding(Kind.REPAIRED, what, "", subjects, float(distance.max()), structure.object_unit)]
 
@@ -89,5 +96,6 @@ def hopeless_points(block: Block, hopeless: Bool[np.ndarray, " point"]) -> list[
         return []
     one = len(names) == 1
     what = f"the rays of {counted(len(names), 'point')} do not meet in front of the cameras: {named(names)}"
-    cure = f"measure {'it' if one else 'them'} again or drop {'it' if one else 'them'}; the adjustment starts with {'it' if one else 'them'} far away"
+    it = "it" if one else "them"
+    cure = f"measure {it} again or drop {it}; the adjustment starts with {it} far away"
     return [Finding(Kind.WEAK, what, cure, tuple(Subject("points", (name,)) for name in names))]

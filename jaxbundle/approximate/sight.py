@@ -47,7 +47,7 @@ class Sight(NamedTuple):
     @property
     def is_known(self) -> Bool[np.ndarray, " point"]:
         """Points all of whose coordinates are observed or held."""
-        return np.isfinite(self.known).all(1)
+        return np.isfinite(self.known).all(axis=1)
 
     @property
     def believed(self) -> Float[np.ndarray, "point 3"]:
@@ -148,7 +148,7 @@ def intersected(sight: Sight, images: Bool[np.ndarray, " image"] | None = None) 
     count = np.bincount(point, minlength=len(sight.points))
     if not len(image):
         return Intersected(np.full(sight.points.shape, np.nan), np.zeros(len(count), bool))
-    points = closest_to_rays(along, centres, point, len(count)).T
+    points = np.array(closest_to_rays(along, centres, point, len(count)).T)
     points[count < 2] = np.nan
     depth = ((points[point] - centres.T) * along.T).sum(1)
     behind = np.bincount(point, ~(depth > 0), len(count)) > 0

@@ -86,7 +86,10 @@ def _extreme_control(
         return []
     names = [block.structure.point_names[point[k]] for k in few]
     least, unit = np.where(observed, sigmas, np.inf)[few].min(), block.structure.object_unit
-    what = f"{counted(len(few), 'control point')} with a sigma of {least:.3g} {unit} against {typical:.3g} {unit} of the others: {named(names)}"
+    what = (
+        f"{counted(len(few), 'control point')} with a sigma of {least:.3g} {unit} against {typical:.3g} {unit} of the"
+        f" others: {named(names)}"
+    )
     cure = "correct the sigma, or hold the point with sigma 0"
     return [Finding(Kind.SIGMAS, what, cure, tuple(Subject("control", (name,)) for name in names), float(least), unit)]
 
@@ -160,6 +163,7 @@ def _far_off(control: _Loose) -> Bool[np.ndarray, " member"] | None:
     observed, values = group.structure.observed, np.asarray(group.values)
     sigma = np.full(len(values), LOOSE * _depth(block))
     factor = np.maximum(1.0, (_distances(block, control.point, values, observed) / sigma) ** 2)
+    distance = np.zeros(len(values))
     for _ in range(ROUNDS):
         loose = np.where(observed, (sigma * factor)[:, None], 1.0)
         block = eqx.tree_at(lambda b: b.groups[control.group].sigmas, block, on_device(loose))

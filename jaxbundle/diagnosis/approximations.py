@@ -25,6 +25,8 @@ from jaxbundle.block.findings import Finding, Kind, Severity, Subject
 
 MOST = 0.5  # share of an image's rays behind that is told
 FEW_BEHIND = 0.01  # share of all rays: real blocks have some far or wrong points behind
+ALIKE = 2.0  # times the angles off under the best cause: causes that are named together
+MOST_CAUSES = 2
 ONE_PLACE = 1e-9  # of the coordinates
 LEAST_KNOWN = 4  # rays of control that tell a mirrored system without other points
 
@@ -94,8 +96,12 @@ def _confusions(block: Block, sight: Sight) -> list[tuple[str, Bool[np.ndarray, 
         if not most:
             break
         equal = [k for k, e in enumerate(explained) if e.sum() == most]
-        best = min(equal, key=lambda k: (not alternatives[k].usual, _median(rest[k], explained[k])))
-        found.append((alternatives[best].words, explained[best], alternatives[best].component))
+        usual = [k for k in equal if alternatives[k].usual] or equal
+        least = {k: _median(rest[k], explained[k]) for k in usual}
+        best = min(usual, key=least.__getitem__)
+        alike = [k for k in usual if least[k] <= ALIKE * least[best]]  # a rough start cannot tell them apart
+        words = " or ".join(alternatives[k].words for k in alike[:MOST_CAUSES])
+        found.append((words, explained[best], alternatives[best].component))
         open_images = open_images & ~explained[best]
     return found
 
@@ -135,7 +141,7 @@ def _unexplained(block: Block, sight: Sight, images: Bool[np.ndarray, " image"])
 
 def _one_place(block: Block) -> list[Finding]:
     """All stations equal."""
-    centres, s = np.asarray(block.exterior.projection_centre), block.structure
+    centres = np.asarray(block.exterior.projection_centre)
     if len(centres) < 2 or np.abs(centres - centres[0]).max() > ONE_PLACE * max(np.abs(centres).max(), 1e-300):
         return []
     place = ", ".join(f"{x:g}" for x in centres[0])
@@ -163,7 +169,8 @@ def _behind(block: Block, sight: Sight, judged: Bool[np.ndarray, " ray"]) -> lis
     images = count > MOST * rays
     if images.any() or behind.sum() > FEW_BEHIND * len(behind):
         images |= (count > 0) & ~images.any()
-        what = f"{behind.sum()} of {len(behind)} rays have their approximate point behind the camera: {_whom(block, images)}"
+        share = f"{behind.sum()} of {len(behind)} rays"
+        what = f"{share} have their approximate point behind the camera: {_whom(block, images)}"
         cure = "check the signs of Z0 and of the angles, and whether y of the image coordinates points up or down"
         findings.append(Finding(Kind.START, what, cure, _subjects(block, images), float(behind.sum()), "rays"))
     return findings

@@ -1,6 +1,7 @@
 """Rays against the format of their camera: are they inside, and do they fill it?
 
-px cameras have their origin in the top left corner, x to the right, y down: inside is 0 <= x <= width, 0 <= y <= height.
+px cameras have their origin in the top left corner, x to the right, y down: inside is 0 <= x <= width and
+0 <= y <= height.
 Where rays are outside or in a sliver of the format, what people confuse is tried: the likely cause is what brings all
 inside. What a format cannot tell (mirrored coordinates, half resolution) the approximate orientations tell.
 """
@@ -24,7 +25,7 @@ MARGIN = 0.01  # of the format: marks on the border of scanned film lie a little
 FEW = 0.01  # share of rays outside that may be single errors of measurement
 SLIVER = 0.1  # of width and of height: blocks fill more, of ten rays and more
 LEAST_RAYS = 10
-HALF_FULL = (0.35, 0.5 + MARGIN)  # of the format, reached by the rays of an image of half resolution
+HALF_FULL = (0.25, 0.5 + 2 * MARGIN)  # of the format, reached by the rays of an image of half resolution
 Coordinates = Float[np.ndarray, "ray 2"]
 
 

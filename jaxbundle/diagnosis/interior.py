@@ -38,8 +38,8 @@ def _of_camera(block: Block, k: int, rays: Int[np.ndarray, " ray"]) -> Finding |
     known = camera.width is not None and camera.image_unit == "px"
     of = "format" if known else "rays"
     what = (
-        f"camera {camera.name}: principal_distance {c:g} {unit} and {of} {diagonal:.4g} {unit} across give a field angle"
-        f" of {field:.3g} deg"
+        f"camera {camera.name}: principal_distance {c:g} {unit} and {of} {diagonal:.4g} {unit} across give a field"
+        f" angle of {field:.3g} deg"
     )
     likely = _cause(camera, c, pixel, diagonal)
     impossible = not POSSIBLE[0] <= field <= POSSIBLE[1]

@@ -16,6 +16,7 @@ from jaxbundle.block.findings import Finding, Kind, Severity, Subject
 
 LEAST = 3  # control points with two rays and more
 NEAR, FAR = 0.1, 1.0  # of the depth: by more a cause is looked for, by more control is in another system without one
+ROUGH = 0.3  # of the depth: what rough orientations leave
 AGREES = 0.1  # of the differences, left by a cause that is named
 OUTLYING = 8.0  # fields off, times the median of the others: rough starts give the worst of twelve four times
 DISTANT = 2.5  # distance, times the median of the others: weak intersections scatter along the depth
@@ -27,7 +28,7 @@ US_FOOT, FOOT = 1200 / 3937, 0.3048
 class _Control(NamedTuple):
     """Points with control coordinates and two rays or more: coordinates as given and as intersected, fields off."""
 
-    index: Int[np.ndarray, " control"]
+    point: Int[np.ndarray, " control"]
     given: Float[np.ndarray, "control 3"]
     met: Float[np.ndarray, "control 3"]
     seen: Float[np.ndarray, " control"]
@@ -42,7 +43,7 @@ def control_findings(block: Block, sight: Sight) -> list[Finding]:
     """Control in another system than the approximate orientations, and single control points that are far off."""
     control = _control(sight)
     same = _coinciding(block, sight)
-    if len(control.index) < LEAST:
+    if len(control.point) < LEAST:
         return same
     if np.median(control.off) > NEAR * control.depth and np.median(control.seen) > SEEN:
         whole = _whole(block, control)
@@ -66,10 +67,10 @@ def _whole(block: Block, control: _Control) -> list[Finding]:
     s = block.structure
     given, met, off = control.given, control.met, np.median(control.off)
     what = f"the {len(given)} control points lie {off:.4g} {s.object_unit} (median) from where their rays meet"
-    subjects = tuple(Subject("control", (s.point_names[k],)) for k in control.index)
+    subjects = tuple(Subject("control", (s.point_names[k],)) for k in control.point)
     for words, cure, changed in _changes(given):
         rest = np.median(np.linalg.norm(changed - met, axis=1))
-        if rest <= AGREES * off:
+        if rest <= AGREES * off and rest <= ROUGH * control.depth:
             what += f"; {words} it would be {rest:.4g} {s.object_unit}"
             return [Finding(Kind.CONTROL_SYSTEM, what, cure, subjects, float(off), s.object_unit)]
     if off <= FAR * control.depth:
@@ -81,7 +82,7 @@ def _whole(block: Block, control: _Control) -> list[Finding]:
     rest = np.median(np.linalg.norm(given + shift - met, axis=1))
     grade = None
     cure = "give control, images and points in one coordinate system"
-    if rest <= AGREES * off:
+    if rest <= AGREES * off and rest <= ROUGH * control.depth:
         by = ", ".join(f"{x:.6g}" for x in shift)
         what += f"; with a shift of ({by}) it would be {rest:.4g} {s.object_unit}"
         cure, grade = "the origins differ: give control, images and points in one coordinate system", Severity.CHECK
@@ -122,16 +123,22 @@ def _single(block: Block, control: _Control) -> list[Finding]:
     for k in suspects:
         if k in done:
             continue
-        name, typical = s.point_names[control.index[k]], _typical(off, k)
+        name, typical = s.point_names[control.point[k]], _typical(off, k)
         partner = next((j for j in suspects if j != k and j not in done and _exchanged(control, k, j)), None)
-        what = f"control point {name} lies {off[k]:.4g} {s.object_unit} from where its rays meet, the others {typical:.3g} {s.object_unit} (median)"
+        what = (
+            f"control point {name} lies {off[k]:.4g} {s.object_unit} from where its rays meet, the others"
+            f" {typical:.3g} {s.object_unit} (median)"
+        )
         subjects, cure = (Subject("control", (name,)),), "check its coordinates and its name"
         if partner is not None:
-            other = s.point_names[control.index[partner]]
+            other = s.point_names[control.point[partner]]
             done.add(partner)
-            what = f"control points {name} and {other} lie {off[k]:.4g} and {off[partner]:.4g} {s.object_unit} from where their rays meet; with their names exchanged they would agree"
+            what = (
+                f"control points {name} and {other} lie {off[k]:.4g} and {off[partner]:.4g} {s.object_unit} from where"
+                " their rays meet; with their names exchanged they would agree"
+            )
             subjects, cure = (*subjects, Subject("control", (other,))), "exchange the two names"
-        elif _agrees(np.linalg.norm(control.given[k][[1, 0, 2]] - control.met[k]), off[k], typical):
+        elif _agrees(float(np.linalg.norm(control.given[k][[1, 0, 2]] - control.met[k])), float(off[k]), typical):
             what, cure = f"{what}; with X and Y exchanged it would agree", "exchange its X and Y"
         findings.append(
             Finding(Kind.CONTROL_SYSTEM, what, cure, subjects, float(off[k]), s.object_unit, Severity.CHECK)
@@ -147,13 +154,13 @@ def _typical(values: Float[np.ndarray, " control"], k: int) -> float:
 
 def _agrees(rest: float, off: float, typical: float) -> bool:
     """Whether what a cause leaves of a difference is small, or as that of the others."""
-    return bool(rest <= max(PAIR * off, min(2 * typical, 0.5 * off)))
+    return rest <= max(PAIR * off, min(2 * typical, 0.5 * off))
 
 
 def _exchanged(control: _Control, k: int, j: int) -> bool:
-    near = [np.linalg.norm(control.given[a] - control.met[b]) for a, b in ((k, j), (j, k))]
+    near = [float(np.linalg.norm(control.given[a] - control.met[b])) for a, b in ((k, j), (j, k))]
     typical = _typical(control.off, k)
-    return _agrees(near[0], control.off[j], typical) and _agrees(near[1], control.off[k], typical)
+    return _agrees(near[0], float(control.off[j]), typical) and _agrees(near[1], float(control.off[k]), typical)
 
 
 def _coinciding(block: Block, sight: Sight) -> list[Finding]:

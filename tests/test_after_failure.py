@@ -1,0 +1,72 @@
+"""What keeps a block from converging is named, with the size of its error."""
+
+import equinox as eqx
+import numpy as np
+import pytest
+
+import jaxbundle as jb
+from jaxbundle.block.block import Block
+from jaxbundle.block.findings import Kind, Subject
+from jaxbundle.diagnosis.after_failure import causes
+
+pytestmark = pytest.mark.xdist_group("start")
+
+
+@pytest.fixture(scope="module")
+def cured(shared_data) -> Block:
+    return jb.read(shared_data / "cases" / "01-gcp-axes-swapped" / "cured")
+
+
+def with_error(block: Block, member: int, axis: int, error: float) -> Block:
+    """A control coordinate that is wrong, and the approximate one with it."""
+    group = block.groups[0]
+    point = int(group.structure.indices[member, 0])
+    return eqx.tree_at(
+        lambda b: (b.groups[0].values, b.object_points),
+        block,
+        (group.values.at[member, axis].add(error), block.object_points.at[point, axis].add(error)),
+    )
+
+
+def test_nothing_is_said_where_the_adjustment_ended_well(cured):
+    assert causes(cured, jb.adjust(cured, precision=False)) == ()
+
+
+@pytest.mark.parametrize(("axis", "error"), [(0, 30.0), (0, 1000.0), (2, 100.0)])
+def test_a_wrong_control_coordinate(cured, axis, error):
+    block = with_error(cured, 2, axis, error)
+    (found,) = causes(block, jb.adjust(block, precision=False, max_iterations=40))
+    name = block.structure.point_names[block.groups[0].structure.indices[2, 0]]
+    assert found.kind is Kind.SUSPECT
+    assert found.subjects == (Subject("control", (name,)),)
+    assert found.size == pytest.approx(error, abs=0.2)
+    assert found.unit == "m"
+
+
+def test_exchanged_names(shared_data):
+    block = jb.read(shared_data / "cases" / "01-gcp-axes-swapped" / "pair")
+    (found,) = causes(block, jb.adjust(block, precision=False, max_iterations=40))
+    assert {subject.names[0] for subject in found.subjects} == {"GCP1", "GCP2"}
+    assert found.size == pytest.approx(105, abs=0.5)
+
+
+@pytest.mark.thorough
+@pytest.mark.parametrize("case", ["weighted", "fixed"])
+def test_exchanged_axes(shared_data, case):
+    block = jb.read(shared_data / "cases" / "01-gcp-axes-swapped" / case)
+    (found,) = causes(block, jb.adjust(block, precision=False, max_iterations=40))
+    assert found.subjects == (Subject("control", ("GCP3",)),)
+
+
+def test_extreme_sigmas(cured):
+    sigmas = cured.rays.sigmas.at[4].set(1e-6), cured.groups[0].sigmas.at[1].set(1e-7)
+    block = eqx.tree_at(lambda b: (b.rays.sigmas, b.groups[0].sigmas), cured, sigmas)
+    found = causes(block, jb.adjust(block, precision=False, max_iterations=1))
+    s = block.structure
+    ray = s.image_names[s.ray_image[4]], s.point_names[s.ray_point[4]]
+    point = s.point_names[block.groups[0].structure.indices[1, 0]]
+    assert [(f.kind, f.subjects) for f in found[:2]] == [
+        (Kind.SIGMAS, (Subject("rays", ray),)),
+        (Kind.SIGMAS, (Subject("control", (point,)),)),
+    ]
+    assert np.isfinite(found[0].size)
