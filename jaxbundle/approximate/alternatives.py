@@ -138,13 +138,13 @@ def _attitudes(sight: Sight, system: RotationSystem, angles: Float[np.ndarray, "
 def left(sight: Sight) -> Float[np.ndarray, " image"]:
     """Median angle off of each image, in fields."""
     points = sight.believed
-    usable = np.isfinite(points).all(1)[sight.point]
+    usable = sight.is_believed[sight.point]
     return medians(relative_off(sight, points)[usable], sight.image[usable], len(sight.centre))
 
 
 def mirrored(sight: Sight) -> Alternative | None:
     """The mirrored image coordinates or object system that would make most images agree with their points."""
-    usable = np.isfinite(sight.believed).all(1)[sight.point]
+    usable = sight.is_believed[sight.point]
     doubtful = mostly_beyond(relative_off(sight, sight.believed)[usable], PLAIN, sight.image[usable], len(sight.centre))
     if 2 * doubtful.sum() <= len(np.unique(sight.image[usable])):
         return None

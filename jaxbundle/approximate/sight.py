@@ -47,7 +47,12 @@ class Sight(NamedTuple):
     @property
     def is_known(self) -> Bool[np.ndarray, " point"]:
         """Points all of whose coordinates are observed or held."""
-        return np.isfinite(self.known).all(axis=1)
+        return np.asarray(np.isfinite(self.known).all(1))
+
+    @property
+    def is_believed(self) -> Bool[np.ndarray, " point"]:
+        """Points all of whose coordinates are known or approximately known."""
+        return np.asarray(np.isfinite(self.believed).all(1))
 
     @property
     def believed(self) -> Float[np.ndarray, "point 3"]:

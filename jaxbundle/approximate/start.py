@@ -167,7 +167,7 @@ def _point_sets(
     """Points that a resection may go by, with their rays: all as given, control alone, those of the good images."""
     known = sight.is_known[sight.point]
     given = sight.believed
-    sets = [(given, np.isfinite(given).all(1)[sight.point]), (given, known)]
+    sets = [(given, sight.is_believed[sight.point]), (given, known)]
     if not suspects.all():
         sets.append(_met(sight, ~suspects))
     return sets

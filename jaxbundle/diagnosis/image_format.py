@@ -70,7 +70,7 @@ def _formats(block: Block) -> list[_Format]:
 
 def _outside(form: _Format, xy: Coordinates) -> Bool[np.ndarray, " ray"]:
     margin = MARGIN * form.size
-    return ~((xy >= -margin) & (xy <= form.size + margin)).all(1)
+    return np.asarray(~((xy >= -margin) & (xy <= form.size + margin)).all(1))
 
 
 def _fills(form: _Format, xy: Coordinates) -> bool:
