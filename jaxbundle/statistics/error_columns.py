@@ -22,7 +22,6 @@ import jax.numpy as jnp
 import numpy as np
 import scipy.sparse as sp
 from jaxtyping import Array, Float, Int
-from scipy.linalg import solve_triangular
 
 from jaxbundle.block.block import Block
 from jaxbundle.block.datum import with_datum
@@ -37,6 +36,7 @@ from jaxbundle.numerics.shapes import grid_size
 from jaxbundle.statistics.design import Corrections, design_columns, free_elements, no_corrections, residuals_after
 
 MOST_DENSE = 1500  # unknowns: up to here the whole design matrix takes less time than a solution for each column
+DETERMINED = 1e-11  # diagonal of R, columns of A of length 1: what is less is rounding
 FIXED = -1  # table of a fixed coordinate: it is not observed
 
 
@@ -96,8 +96,10 @@ def _explained_densely(
     free = free_elements(o)
     a = np.asarray(_design(unknowns, o, on_device(free.chunks, np.int32), optimised=False))[: free.count]
     a = a / np.linalg.norm(a, axis=1)[:, None]
-    factor = np.linalg.cholesky(a @ a.T)
-    half = solve_triangular(factor, np.concatenate([c.T @ a.T, (a @ v)[None]]).T, lower=True)
+    # by an orthogonal basis: of hardly determined unknowns the normal equations have no factor
+    orthogonal, factor = np.linalg.qr(a.T)
+    good = np.abs(np.diagonal(factor)) > DETERMINED
+    half = np.where(good[:, None], np.concatenate([c.T @ orthogonal, (v @ orthogonal)[None]]).T, 0.0)
     products = half.T @ half
     return products[:-1, :-1], products[:-1, -1], float(products[-1, -1])
 

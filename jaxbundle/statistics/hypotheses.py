@@ -61,7 +61,7 @@ class Hypothesis:
 @dataclass(frozen=True)
 class Hypotheses:
     """All hypotheses of a block; `combinations` makes their columns of the `elementary` ones, which are in the block's
-    own tables; `observations` are tested, if only by their w."""
+    own tables; `observations` and rows are tested, if only by w."""
 
     every: tuple[Hypothesis, ...]
     elementary: tuple[ErrorColumn, ...]

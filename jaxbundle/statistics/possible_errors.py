@@ -65,7 +65,8 @@ class _Collection:
         rows = np.concatenate([r for r, _ in self.combinations])
         shape = (len(self.columns), len(self.combinations))
         combinations = sp.csc_matrix((values, (rows, np.concatenate(places))), shape)
-        return Hypotheses(tuple(self.found), tuple(self.columns), combinations, self.block.observations)
+        rows = len(self.s.ray_image) + sum(len(group.structure.indices) for group in self.block.groups)
+        return Hypotheses(tuple(self.found), tuple(self.columns), combinations, self.block.observations + rows)
 
     # columns
 
