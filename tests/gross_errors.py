@@ -69,7 +69,7 @@ def close_range() -> Block:
         np.cos(turn) * upward - np.sin(turn) * sideways,
     )
     matrix = np.stack([first, second, backward], 2).reshape(8, 9).T
-    angles = np.stack([np.asarray(a) for a in OMEGA_PHI_KAPPA.angles_from_rotation(tuple(matrix))], 1)
+    angles = np.stack([np.asarray(a) for a in OMEGA_PHI_KAPPA.angles_from_rotation(tuple(jnp.asarray(matrix)))], 1)
     image, point = (x.ravel() for x in np.meshgrid(np.arange(8), np.arange(30), indexing="ij"))
     structure = BlockStructure(
         name="close range",

@@ -40,6 +40,9 @@ class Kind(Enum):
     PARTS = "block in several parts", Severity.FAILED
     START = "implausible approximate values", Severity.CHECK
     REPAIRED = "approximate values replaced", Severity.NOTE
+    # who causes it
+    SYSTEMATIC = "group that disagrees as a whole", Severity.CHECK
+    SUSPECT = "suspect observation", Severity.CHECK
     # how the adjustment ended
     NOT_CONVERGED = "not converged", Severity.FAILED
     BEHIND = "points behind cameras", Severity.FAILED
@@ -49,8 +52,6 @@ class Kind(Enum):
     SIGMA0 = "residuals far beyond their sigmas", Severity.FAILED
     IMPRECISE = "unusable precision", Severity.FAILED
     # what the residuals tell
-    SUSPECT = "suspect observation", Severity.CHECK
-    SYSTEMATIC = "group that disagrees as a whole", Severity.CHECK
     DOWN_WEIGHTED = "small robust weights", Severity.CHECK
     UNSETTLED = "robust weights not settled", Severity.CHECK
     GLOBAL_TEST = "sigma0 outside its limits", Severity.CHECK
@@ -80,8 +81,8 @@ class Kind(Enum):
 
     @property
     def rank(self) -> int:
-        """Place in the order of a report."""
-        return list(Kind).index(self)
+        """Place in the order of a report; single culprits and groups stand in the order of their evidence."""
+        return list(Kind).index(Kind.SUSPECT if self is Kind.SYSTEMATIC else self)
 
 
 class Subject(NamedTuple):

@@ -10,7 +10,7 @@ import typer
 
 from jaxbundle.block.block import Block
 from jaxbundle.block.changes import with_interior_held
-from jaxbundle.block.findings import Finding
+from jaxbundle.block.findings import Finding, Severity
 from jaxbundle.block.problems import BlockError
 from jaxbundle.cli.codes import BadInput, Code, LostProcess, told
 from jaxbundle.cli.interruption import Interruption
@@ -155,10 +155,10 @@ def _adjusted(
 
 
 def echo_result(adjustment: Adjustment, found: tuple[Finding, ...]) -> None:
-    """Summary and findings; those of the adjustment itself that forbid trust are in the summary already."""
-    typer.echo(adjustment.summary())
+    """Summary and findings; those that forbid trust are in the summary already."""
+    typer.echo(adjustment.summary(found))
     for finding in found:
-        if finding not in adjustment.failures:
+        if finding.severity is not Severity.FAILED:
             typer.echo("\n".join(wrapped(finding.severity.label, finding.words, 14)))
 
 

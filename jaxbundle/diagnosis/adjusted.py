@@ -1,7 +1,9 @@
 """Everything that is found about an adjustment, in the order of a report."""
 
+import dataclasses
+
 from jaxbundle.block.block import Block
-from jaxbundle.block.findings import Finding, Kind, in_order, of_kind
+from jaxbundle.block.findings import Finding, Kind, Severity, in_order, of_kind
 from jaxbundle.diagnosis.after_failure import causes
 from jaxbundle.diagnosis.controlled import controlled_findings
 from jaxbundle.diagnosis.culprits import findings_of_suspects
@@ -13,6 +15,7 @@ from jaxbundle.solve.adjustment import Adjustment, Status
 from jaxbundle.statistics.suspects import find_suspects
 
 NO_ERRORS = 1e-6  # sigma0 of observations that have none: residuals are rounding
+CAUSES = (Kind.FORMAT, Kind.INTERIOR, Kind.CONTROL_SYSTEM, Kind.START, Kind.SYSTEMATIC, Kind.SUSPECT)
 MISLEADING = (  # residuals of such a block accuse the innocent
     Kind.FORMAT,
     Kind.INTERIOR,
@@ -40,7 +43,21 @@ def findings(adjustment: Adjustment, start: Block | None = None) -> tuple[Findin
         found += [*element_findings(adjustment), *point_findings(adjustment), *controlled_findings(adjustment)]
     if adjustment.cofactors is None:
         found.append(Finding(Kind.NO_PRECISION, "no standard deviations were computed"))
-    return in_order(found)
+    return in_order(_explained(found))
+
+
+def _explained(found: list[Finding]) -> list[Finding]:
+    """Where the iterations did not converge and a cause is known, that is what is wrong, and what is to be cured."""
+    if not of_kind(found, Kind.NOT_CONVERGED) or not of_kind(found, *CAUSES):
+        return found
+    return [
+        dataclasses.replace(finding, cure="cure first what is named before")
+        if finding.kind is Kind.NOT_CONVERGED
+        else dataclasses.replace(finding, grade=Severity.FAILED)
+        if finding.kind in CAUSES
+        else finding
+        for finding in found
+    ]
 
 
 def _of_residuals(adjustment: Adjustment) -> tuple[Finding, ...]:

@@ -20,6 +20,7 @@ from jaxbundle.block.changes import without_component
 from jaxbundle.block.findings import Finding, Kind, Subject
 from jaxbundle.block.observations import CONTROL, observation_group
 from jaxbundle.block.problems import BlockError
+from jaxbundle.diagnosis.wrong_rays import wrong_rays
 from jaxbundle.numerics.host import on_device, on_host
 from jaxbundle.solve.adjust import adjust
 from jaxbundle.solve.adjustment import Adjustment, Status
@@ -30,6 +31,7 @@ LOOSE = 0.02  # of the depth: sigma of loose control; flight plans and models ar
 ROUNDS = 4  # of reweighting: residuals of what is wrong grow to their errors
 OUTLYING = 6.0  # times the median distance of the others
 SIDE_EFFECT = 0.05  # of the largest error: below, a point may have been bent
+NO_WEIGHT = 1e9  # sigma in the object unit, of a point that is as good as not observed
 FAR = 0.3  # of the depth: control is started where its rays meet
 ITERATIONS = 50  # of a try
 LEAST = 4  # control points; of three none can be told wrong
@@ -37,7 +39,8 @@ EXTREME = 1e-4  # of the median sigma: an observation that weighs 10^8 times the
 
 
 def causes(start: Block, adjustment: Adjustment) -> tuple[Finding, ...]:
-    """What keeps a block from converging: observations of extreme weight, control points that contradict the others.
+    """What keeps a block from converging: observations of extreme weight, control points that contradict the others, or
+    else rays and images.
 
     `start`: the block as it was given to the adjustment. Nothing is tried where the adjustment ended well.
     """
@@ -45,7 +48,8 @@ def causes(start: Block, adjustment: Adjustment) -> tuple[Finding, ...]:
     if ended_well or not start.concrete or adjustment.status is Status.INTERRUPTED:
         return ()
     with np.errstate(all="ignore"):
-        return (*_extreme_sigmas(start), *_wrong_control(start, adjustment))
+        found = (*_extreme_sigmas(start), *_wrong_control(start, adjustment))
+        return found or wrong_rays(start, adjustment)
 
 
 def _extreme_sigmas(block: Block) -> list[Finding]:
@@ -165,7 +169,7 @@ def _far_off(control: _Loose) -> Bool[np.ndarray, " member"] | None:
     factor = np.maximum(1.0, (_distances(block, control.point, values, observed) / sigma) ** 2)
     distance = np.zeros(len(values))
     for _ in range(ROUNDS):
-        loose = np.where(observed, (sigma * factor)[:, None], 1.0)
+        loose = np.where(observed, np.minimum(sigma * factor, NO_WEIGHT)[:, None], 1.0)
         block = eqx.tree_at(lambda b: b.groups[control.group].sigmas, block, on_device(loose))
         found = _try(block, converged=False)
         if found is None:

@@ -70,7 +70,7 @@ def _finding(s: Suspicion, sigma0: float) -> Finding:
         Cause.IMAGE: _image,
     }
     kind = Kind.SUSPECT if s.cause in (Cause.VALUE, Cause.AXES, Cause.NAMES) else Kind.SYSTEMATIC
-    what = f"{words[s.cause](s)}; without {_it(s)} sigma0 falls from {sigma0:.3g} to {s.sigma0_without:.3g}"
+    what = f"{words[s.cause](s)}; without {_it(s)} sigma0 falls from {sigma0:.4g} to {s.sigma0_without:.4g}"
     told = np.abs(np.nan_to_num(s.error))
     place = int(np.argmax(told / np.where(s.deviations > 0, s.deviations, np.inf))) if len(told) else 0
     alternatives = (subject for subjects in s.alternatives for subject in subjects)

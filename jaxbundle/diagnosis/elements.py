@@ -13,7 +13,6 @@ from jaxbundle.statistics.significance import NEVER_ZERO, insignificant, tested_
 
 HIGH_CORRELATION = 0.95
 WEAK_DISTANCE = 0.01  # sd over principal distance: flying heights and depths are as uncertain as it
-USELESS_DISTANCE = 0.1
 CONVERGENT = 0.87  # cosine of 30 degrees between two camera axes: such a block has what separates c, x0, y0
 TURNED = 0.5  # cosine of 60 degrees between the x axes of two photographs
 
@@ -54,8 +53,7 @@ def _weak(adjustment: Adjustment) -> list[Finding]:
         )
         cure = "hold it or give it a prior, or add control in relief or convergent images"
         subject = Subject("cameras", (camera.name,), "principal_distance")
-        kind = Kind.IMPRECISE if share > USELESS_DISTANCE else Kind.WEAK
-        found.append(Finding(kind, what, cure, (subject,), float(sd[c, k]), unit))
+        found.append(Finding(Kind.WEAK, what, cure, (subject,), float(sd[c, k]), unit))
     return found
 
 

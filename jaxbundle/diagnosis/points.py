@@ -23,7 +23,9 @@ def _far(adjustment: Adjustment) -> list[Finding]:
     structure, sd = adjustment.block.structure, np.asarray(adjustment.standard_deviations.object_points).max(1)
     distance = _distance_to_nearest_camera(adjustment)
     share = np.where(distance > 0, sd / np.where(distance > 0, distance, 1.0), 0.0)
+    told = {subject for finding in adjustment.undetermined for subject in finding.subjects}
     far = np.flatnonzero(share > FAR)
+    far = far[[Subject("points", (structure.point_names[p],)) not in told for p in far]]
     if not len(far):
         return []
     far, unit = far[np.argsort(-share[far], kind="stable")], structure.object_unit
@@ -79,7 +81,7 @@ def _check_points(adjustment: Adjustment) -> list[Finding]:
     names = [structure.point_names[structure.check_point[c]] for c in off]
     listed = named(
         [
-            f"{name} by {figure(differences[c, k])} {unit} in {'XYZ'[k]} ({figure(ratios[c, k])} sd)"
+            f"{name} by {figure(float(differences[c, k]))} {unit} in {'XYZ'[k]} ({figure(float(ratios[c, k]))} sd)"
             for name, c, k in zip(names, off, component, strict=True)
         ]
     )

@@ -49,7 +49,7 @@ def _place_of(finding: Finding, tables: FolderTables) -> tuple[str, int]:
     """File and line of the first subject of a finding."""
     subject = finding.subjects[0] if finding.subjects else None
     rows = tables.known.get(subject.table) if subject else None
-    if rows is None or not subject or not subject.names:
+    if rows is None or not subject or not subject.names or subject.names[0] not in rows.names:
         return FILE, 0
     return rows.table.file, int(rows.table.lines[rows.names.index(subject.names[0])])
 

@@ -88,8 +88,9 @@ def finite(value: Any) -> Any:
     if isinstance(value, Mapping):
         return {str(key): finite(item) for key, item in value.items()}
     if isinstance(value, np.ndarray):
-        known = np.isfinite(value)
-        return value.tolist() if known.all() else np.where(known, value.astype(object), None).tolist()
+        plain, known = value.astype(object), np.isfinite(value)
+        plain[~known] = None
+        return value.tolist() if known.all() else plain.tolist()
     if isinstance(value, np.generic):
         return finite(value.item())
     if isinstance(value, list | tuple):

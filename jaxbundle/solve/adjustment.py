@@ -163,10 +163,14 @@ class Adjustment(eqx.Module):
     @property
     def verdict(self) -> str:
         """What the result is worth: how the iterations ended, and that it must not be used where that is so."""
-        others = [finding for finding in self.failures if finding.kind is not Kind.NOT_CONVERGED]
+        return self._verdict(self.failures)
+
+    def _verdict(self, failures: tuple[Finding, ...]) -> str:
+        others = [finding for finding in failures if finding.kind is not Kind.NOT_CONVERGED]
         if not others:
             return self.status.words
-        return f"{self.status.words}, but its result must not be used: {others[0].kind.title}"
+        link = ", but its result" if self.status is Status.CONVERGED else "; its result"
+        return f"{self.status.words}{link} must not be used: {others[0].kind.title}"
 
     @property
     def undetermined(self) -> tuple[Finding, ...]:
@@ -217,9 +221,13 @@ class Adjustment(eqx.Module):
             f" {counted(low, 'ray')} below {DOWN_WEIGHTED:g}"
         )
 
-    def summary(self) -> str:
-        """The result in a few lines; the report says the rest."""
+    def summary(self, found: tuple[Finding, ...] | None = None) -> str:
+        """The result in a few lines, with what forbids its use; the report says the rest.
+
+        `found`: all findings, as `findings` gives them, where these are known; else those of the adjustment itself.
+        """
         structure, n = self.block.structure, self.iterations
+        failures = self.failures if found is None else tuple(f for f in found if f.severity is Severity.FAILED)
         counts = (
             counted(len(structure.image_names), "image"),
             counted(len(structure.cameras), "camera"),
@@ -228,14 +236,14 @@ class Adjustment(eqx.Module):
         )
         lines = [
             f"Block {structure.name or '(unnamed)'}: {', '.join(counts)}",
-            f"The adjustment {self.verdict} ({self.method}, {int(n.accepted)} steps of {int(n.trials)} tried,"
+            f"The adjustment {self._verdict(failures)} ({self.method}, {int(n.accepted)} steps of {int(n.trials)} tried,"
             f" stopping rule {self.stopping_rule}: {float(n.measure):.1e})",
             f"Observations {self.observations}, unknowns {self.unknowns}, redundancy {self.redundancy}",
             f"Datum: {structure.datum}",
             f"Reduced equations: {REDUCED[self.reduced]}",
             f"vTPv {float(n.initial_cost) * 2:.8g} -> {float(self.vtpv):.8g}, sigma0 {float(self.sigma0):.6g}",
             *([] if self.reweighting is None else [self._reweighted()]),
-            *(f"Failed: {finding.words}" for finding in self.failures),
+            *(f"Failed: {finding.words}" for finding in failures),
         ]
         return "\n".join(lines)
 

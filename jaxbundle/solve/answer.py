@@ -100,7 +100,11 @@ def adjustment(
         end = End(adjusted, plan, problem, arranged, np.asarray(ended.origin))
         loose = undetermined(end, answer.inspection, converged)
         sigma0 = np.sqrt(2 * float(iterations.final_cost) / max(adjusted.redundancy + loose.directions, 1))
-        weak = () if loose.findings else weak_datum(adjusted, float(sigma0))
+        at_end = int(iterations.status) in (
+            Status.CONVERGED,
+            Status.CREEPING,
+        )  # elsewhere sizes of the block say nothing
+        weak = weak_datum(adjusted, float(sigma0)) if at_end and not loose.findings else ()
     return Adjustment(
         adjusted,
         _unweighted(block, weighted),

@@ -111,12 +111,12 @@ def block_system(block: Block) -> DenseSystem:
         observations,
         on_device(free.chunks, np.int32),
         block.exterior.angles,
-        optimised=free.count >= UNKNOWNS_FOR_OPTIMISATION,
+        optimised=free.number >= UNKNOWNS_FOR_OPTIMISATION,
     )
-    if not np.all(np.asarray(pivots)[: free.count] > LEAST_PIVOT):
+    if not np.all(np.asarray(pivots)[: free.number] > LEAST_PIVOT):
         raise ValueError("the observations leave some unknowns undetermined; adjust() names them")
-    orthogonal, inverse = np.array(orthogonal[:, : free.count]), np.array(inverse[: free.count, : free.count])
-    exterior = np.zeros((6, len(structure.image_names), free.count))
+    orthogonal, inverse = np.array(orthogonal[:, : free.number]), np.array(inverse[: free.number, : free.number])
+    exterior = np.zeros((6, len(structure.image_names), free.number))
     exterior[structure.exterior_free.T] = inverse[: structure.exterior_free.sum()]
     exterior[3:] = np.einsum("abi,bif->aif", np.asarray(turned), exterior[3:])
     inverse[: structure.exterior_free.sum()] = exterior[structure.exterior_free.T]

@@ -58,7 +58,7 @@ class FreeElements(NamedTuple):
     """Numbers of the free elements, in chunks padded with a number beyond the last; how many there are."""
 
     chunks: Int[np.ndarray, "chunk at_once"]
-    count: int
+    number: int
 
 
 def free_elements(o: Observations) -> FreeElements:

@@ -94,7 +94,7 @@ def _explained_densely(
 ) -> tuple[Float[np.ndarray, "column column"], Float[np.ndarray, " column"], float]:
     """(A^T C)^T N^-1 (A^T C), the same with A^T v on the right and on both sides, by the whole design matrix."""
     free = free_elements(o)
-    a = np.asarray(_design(unknowns, o, on_device(free.chunks, np.int32), optimised=False))[: free.count]
+    a = np.asarray(_design(unknowns, o, on_device(free.chunks, np.int32), optimised=False))[: free.number]
     a = a / np.linalg.norm(a, axis=1)[:, None]
     # by an orthogonal basis: of hardly determined unknowns the normal equations have no factor
     orthogonal, factor = np.linalg.qr(a.T)
@@ -183,7 +183,7 @@ class _FixedEffects(NamedTuple):
 def _fixed_effects(block: Block, unknowns: Unknowns, o: Observations) -> _FixedEffects:
     """Of all points with a fixed coordinate; an observation between two of them is nobody's."""
     s = block.structure
-    fixed = ~s.point_free.all(1)
+    fixed = np.any(~s.point_free, axis=1)
     owners = [np.repeat(np.where(fixed[s.ray_point], s.ray_point, -1), 2)]
     for group in block.groups:
         g = group.structure
@@ -227,13 +227,14 @@ def _transposed_products(
         tuple(on_device(x) for x in (np.asarray(o.ray_image)[chosen], np.asarray(o.ray_point)[chosen]))
         + tuple(on_device(x) for x in (np.asarray(o.coordinates)[:, chosen], np.asarray(o.weights)[:, chosen] * used)),
     )
-    rows = np.concatenate([(2 * touched[:, None] + np.arange(2)).ravel(), np.arange(2 * rays, c.shape[0])])
-    columns = np.zeros((grid_size(c.shape[1]), 2 * len(chosen) + c.shape[0] - 2 * rays))
-    kept = c.tocsr()[rows].toarray().T
-    columns[: c.shape[1], : 2 * len(touched)] = kept[:, : 2 * len(touched)]
-    columns[: c.shape[1], 2 * len(chosen) :] = kept[:, 2 * len(touched) :]
+    observations, count = c.get_shape()
+    rows = np.concatenate([(2 * touched[:, None] + np.arange(2)).ravel(), np.arange(2 * rays, observations)])
+    columns = np.zeros((grid_size(count), 2 * len(chosen) + observations - 2 * rays))
+    kept = np.asarray(c.tocsr()[rows].todense()).T
+    columns[:count, : 2 * len(touched)] = kept[:, : 2 * len(touched)]
+    columns[:count, 2 * len(chosen) :] = kept[:, 2 * len(touched) :]
     found = _transposed(unknowns, few, on_device(columns), optimised=rays >= RAYS_FOR_OPTIMISATION)
-    exterior, interior, parameters, points = (np.asarray(part)[: c.shape[1]] for part in found)
+    exterior, interior, parameters, points = (np.asarray(part)[:count] for part in found)
     return exterior.transpose(0, 2, 1), interior.transpose(0, 2, 1), parameters, points.transpose(0, 2, 1)
 
 

@@ -343,7 +343,7 @@ def _sharing(block: Block, group: ObservationGroup) -> list[tuple[str, list[int]
         rows = np.flatnonzero((shared == own).all(1) & structure.observed.any(1)).tolist()
         name = block.structure.parameters[own[0]].name if len(own) else ""
         sets.append((name.partition(" of ")[2], rows))
-    named = _alike_named(block, structure.indices[:, 0], structure.observed.any(1))
+    named = _alike_named(block, structure.indices[:, 0], np.any(structure.observed, axis=1))
     return [*sets, *named] if len(sets) == 1 else sets
 
 

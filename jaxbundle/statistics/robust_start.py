@@ -19,8 +19,8 @@ from jaxtyping import Float
 from jaxbundle.block.block import Block
 from jaxbundle.block.observations import ObservationGroup
 from jaxbundle.numerics.host import on_device
-from jaxbundle.solve.adjust import adjust
-from jaxbundle.solve.adjustment import Adjustment, Status
+from jaxbundle.solve.adjustment import Adjustment
+from jaxbundle.solve.attempt import attempt
 
 LIMIT = 2.0  # k: normal errors of this size lose nothing at first
 FIRST, THEN = 3, 3  # rounds
@@ -44,8 +44,8 @@ def robust_point(adjustment: Adjustment) -> RobustPoint | None:
     block = given
     for round_ in range(FIRST + THEN):
         weights = _weights(residuals, round_ >= FIRST)
-        again = adjust(_weighted(given, block, weights), precision=False)
-        if again.status is not Status.CONVERGED:
+        again = attempt(_weighted(given, block, weights))
+        if again is None:
             return None
         roots = [np.sqrt(w)[:, None] for w in weights]
         residuals = tuple(np.asarray(v) / w for v, w in zip(again.weighted_residuals, roots, strict=True))

@@ -17,8 +17,8 @@ from scipy.special import fdtri, ncfdtrinc
 from jaxbundle.block.block import Block
 from jaxbundle.block.findings import Subject
 from jaxbundle.numerics.host import on_device
-from jaxbundle.solve.adjust import adjust
 from jaxbundle.solve.adjustment import Adjustment, Status
+from jaxbundle.solve.attempt import attempt
 from jaxbundle.statistics.error_columns import FIXED, MOST_DENSE, ErrorColumn, ErrorTests, error_tests
 from jaxbundle.statistics.hypotheses import Cause, Hypotheses, Hypothesis
 from jaxbundle.statistics.possible_errors import possible_errors
@@ -102,8 +102,8 @@ def find_suspects(adjustment: Adjustment, level: float = LEVEL) -> Suspects:
     for _ in range(rounds):
         if state.settled:
             break
-        again = adjust(with_unknowns_of(with_errors_removed(given, state.elementary()), state.block), precision=False)
-        if again.status is not Status.CONVERGED or float(again.vtpv) > float(adjustment.vtpv):
+        again = attempt(with_unknowns_of(with_errors_removed(given, state.elementary()), state.block))
+        if again is None or float(again.vtpv) > float(adjustment.vtpv):
             break  # too far for the linear tests, whose first word stands
         state = state.next(again)
     return state.found() if state.accepted else nobody

@@ -56,7 +56,7 @@ def main() -> int:
 
 def _cell(simulated: Simulated, kind: str, multiple: float, draws: int, rng: np.random.Generator, cells: dict) -> None:
     """Draws of one block, kind and size."""
-    own, sizes = Counter(), []
+    own, sizes, fixed = Counter(), [], False
     for _ in range(draws):
         found = drawn_outcome(simulated, kind, multiple, rng)
         if found is None:
