@@ -35,10 +35,10 @@ def findings(adjustment: Adjustment, start: Block | None = None) -> tuple[Findin
     `start`: the block as it was given to the adjustment; with it, what kept the block from converging is looked for.
     """
     found = [*adjustment.findings, *robust_findings(adjustment)]
-    if start is not None:
-        found += causes(start, adjustment)
+    known = () if start is None else causes(start, adjustment)
+    found += known
     if adjustment.status is Status.CONVERGED:
-        if not of_kind(adjustment.failures, *MISLEADING):
+        if not known and not of_kind(adjustment.failures, *MISLEADING):
             found += _of_residuals(adjustment)
         found += [*element_findings(adjustment), *point_findings(adjustment), *controlled_findings(adjustment)]
     if adjustment.cofactors is None:
@@ -47,8 +47,8 @@ def findings(adjustment: Adjustment, start: Block | None = None) -> tuple[Findin
 
 
 def _explained(found: list[Finding]) -> list[Finding]:
-    """Where the iterations did not converge and a cause is known, that is what is wrong, and what is to be cured."""
-    if not of_kind(found, Kind.NOT_CONVERGED) or not of_kind(found, *CAUSES):
+    """Where nothing fits and a cause is known, that is what is wrong, and what is to be cured."""
+    if not of_kind(found, Kind.NOT_CONVERGED, Kind.SIGMA0) or not of_kind(found, *CAUSES):
         return found
     return [
         dataclasses.replace(finding, cure="cure first what is named before")

@@ -236,7 +236,8 @@ class Adjustment(eqx.Module):
         )
         lines = [
             f"Block {structure.name or '(unnamed)'}: {', '.join(counts)}",
-            f"The adjustment {self._verdict(failures)} ({self.method}, {int(n.accepted)} steps of {int(n.trials)} tried,"
+            f"The adjustment {self._verdict(failures)}"
+            f" ({self.method}, {int(n.accepted)} steps of {int(n.trials)} tried,"
             f" stopping rule {self.stopping_rule}: {float(n.measure):.1e})",
             f"Observations {self.observations}, unknowns {self.unknowns}, redundancy {self.redundancy}",
             f"Datum: {structure.datum}",

@@ -68,9 +68,8 @@ def _of_rays(block: Block, rays: np.ndarray) -> Iterator[Problem]:
         yield Problem(
             f"{len(images)} images have the same approximate projection centre ({_named(structure, images)}), and"
             f" {len(np.unique(point[same]))} points lie in it",
-            "give every image its own approximate projection centre, or leave it out to have it computed",
+            "give every image its own approximate projection centre",
             "images",
-            int(images[0]),
         )
         rays, image, point, same = (x[~same] for x in (rays, image, point, same))
     for k in np.unique(point, return_index=True)[1]:
