@@ -1,38 +1,47 @@
-"""Rays that keep a block from converging, or bend it beyond any use: found by robust weights from the start.
+"""Rays that keep a block from converging, or bend it beyond any use.
 
-A robust adjustment takes the weight of gross errors round by round (solve/robust.py). Where it converges and fits, the
-rays that lost their weight are what was wrong: single ones, two whose names are exchanged, or whole images.
+Gross errors of thousands of pixels draw a least-squares solution so far aside that its residuals accuse anybody. At the
+start they have drawn nothing yet: rays that are off there many times as far as the others are left out first, and what
+then still does not fit is wrong. Where the start tells nothing, robust weights (solve/robust.py) are tried. What is
+found are single rays, rays whose names or axes are exchanged, or whole images.
 """
 
+import equinox as eqx
 import numpy as np
-from jaxtyping import Float, Int
+from jaxtyping import Bool, Float, Int
 
 from jaxbundle.block.block import Block
 from jaxbundle.block.findings import Finding, Kind, Subject
+from jaxbundle.block.residuals import observations_of, ray_residuals
+from jaxbundle.block.unknowns import unknowns_of
 from jaxbundle.diagnosis.wording import counted, figure, named, ray_name, ray_subject
+from jaxbundle.numerics.host import on_device
 from jaxbundle.solve.adjustment import DOWN_WEIGHTED, Adjustment, Status
 from jaxbundle.solve.attempt import attempt
 from jaxbundle.solve.robust import Danish
 from jaxbundle.statistics.hypotheses import image_points
 
-CURED = 0.3  # of sigma0, left by the robust weights
-MOST_WRONG = 0.1  # share of the rays: if more lose their weight, the robust weights have chosen the wrong side
+CURED = 0.3  # of sigma0, left without what is named
+FAR_OFF = 5.0  # times the median residual of the start: those of rough values spread by less; all are tested at the end
+OUTLYING = 10.0  # times sigma at the end: no error of measurement
+NO_WEIGHT = 1e6  # times its sigma: a ray that is as good as not measured
+MOST_WRONG = 0.1  # share of the rays: if more are taken out, the wrong side may have been chosen
 WHOLE_IMAGE = 0.5  # share of its rays from which on an image is named in their place
-ITERATIONS = 50  # of an adjustment between two rounds
+ITERATIONS = 50  # of one adjustment
 SAME_PLACE = 0.1  # of the distance of two image points: their names fit if exchanged
 
 
 def wrong_rays(start: Block, adjustment: Adjustment) -> tuple[Finding, ...]:
-    """Rays or images without which the block converges; nothing where robust weights do not cure it."""
-    robust = attempt(start, robust=Danish(), max_iterations=ITERATIONS)
-    if robust is None or robust.reweighting is None:
+    """Rays or images without which the block converges; nothing where no choice of rays cures it."""
+    without = _without_far_off(start) or _robust(start)
+    if without is None:
         return ()
-    weights, after = np.asarray(robust.reweighting.weights), float(robust.sigma0)
-    low = np.flatnonzero(weights < DOWN_WEIGHTED)
+    found, low = without
+    after = float(found.sigma0)
     cured = after <= CURED * float(adjustment.sigma0) or adjustment.status is not Status.CONVERGED
-    if not cured or not 0 < len(low) <= MOST_WRONG * len(weights):
+    if not cured or not 0 < len(low) <= MOST_WRONG * len(start.structure.ray_image):
         return ()
-    v = np.asarray(robust.residuals[0])
+    v = np.asarray(found.residuals[0])
     low = low[np.argsort(-np.linalg.norm(v[low], axis=1), kind="stable")]
     images, low = _whole_images(start, low)
     pairs, low = _exchanged(start, low, v)
@@ -42,6 +51,31 @@ def wrong_rays(start: Block, adjustment: Adjustment) -> tuple[Finding, ...]:
         *(_pair(start, pair, left) for pair in pairs),
         *([_single(start, low, v, left)] if len(low) else []),
     )
+
+
+def _without_far_off(start: Block) -> tuple[Adjustment, Int[np.ndarray, " ray"]] | None:
+    """The adjustment without the rays that are far off at the start, and those of them that do not fit to it."""
+    sigmas = np.asarray(start.rays.sigmas)
+    v = np.asarray(ray_residuals(unknowns_of(start), observations_of(start))).T / sigmas
+    size = np.linalg.norm(v, axis=1)
+    far = np.flatnonzero(~(size <= FAR_OFF * np.nanmedian(size)))
+    if not 0 < len(far) <= MOST_WRONG * len(size):
+        return None
+    loose = sigmas.copy()
+    loose[far] *= NO_WEIGHT
+    found = attempt(eqx.tree_at(lambda b: b.rays.sigmas, start, on_device(loose)), max_iterations=ITERATIONS)
+    if found is None:
+        return None
+    left = np.linalg.norm(np.asarray(found.residuals[0])[far] / sigmas[far], axis=1)
+    return found, far[left > OUTLYING * max(float(found.sigma0), 1.0)]
+
+
+def _robust(start: Block) -> tuple[Adjustment, Int[np.ndarray, " ray"]] | None:
+    """The robust adjustment, and the rays that lost their weight."""
+    found = attempt(start, robust=Danish(), max_iterations=ITERATIONS)
+    if found is None or found.reweighting is None:
+        return None
+    return found, np.flatnonzero(np.asarray(found.reweighting.weights) < DOWN_WEIGHTED)
 
 
 def _whole_images(start: Block, low: Int[np.ndarray, " ray"]) -> tuple[list[int], Int[np.ndarray, " ray"]]:
@@ -92,6 +126,21 @@ def _single(start: Block, rays: Int[np.ndarray, " ray"], v: Float[np.ndarray, "r
     unit = structure.cameras[structure.image_camera[structure.ray_image[rays[0]]]].image_unit
     listed = named([f"{ray_name(structure, r)} ({figure(s)} {unit})" for r, s in zip(rays.tolist(), size, strict=True)])
     verb = "disagrees" if len(rays) == 1 else "disagree"
-    what = f"{counted(len(rays), 'ray')} {verb} with the others: {listed}; {left}"
+    what = f"{counted(len(rays), 'ray')} {verb} with the others: {listed}"
+    cure = "measure them again or remove them"
+    if _axes_exchanged(start, rays, v).all():
+        what, cure = f"{what}; x and y are exchanged", "exchange x and y of these rays"
     subjects = tuple(ray_subject(structure, ray) for ray in rays.tolist())
-    return Finding(Kind.SUSPECT, what, "measure them again or remove them", subjects, float(size[0]), unit)
+    return Finding(Kind.SUSPECT, f"{what}; {left}", cure, subjects, float(size[0]), unit)
+
+
+def _axes_exchanged(
+    start: Block, rays: Int[np.ndarray, " ray"], v: Float[np.ndarray, "ray 2"]
+) -> Bool[np.ndarray, " ray"]:
+    """Rays that are computed where they would have been measured with x and y exchanged."""
+    structure, given = start.structure, np.asarray(start.rays.coordinates)[rays]
+    down = np.array([camera.image_unit == "px" for camera in structure.cameras])
+    up = np.where(down[structure.image_camera[structure.ray_image[rays]]], -1.0, 1.0)
+    computed = given + v[rays] * np.stack([np.ones(len(rays)), up], 1)
+    left = np.linalg.norm(computed - given[:, ::-1], axis=1)
+    return left < SAME_PLACE * np.linalg.norm(computed - given, axis=1)
