@@ -37,8 +37,10 @@ from jaxbundle.io.told import told_of
 from jaxbundle.io.unused import unused
 
 
-def read_block_folder(path: str | Path) -> Block:
+def read_block_folder(path: str | Path, *, check_start: bool = True) -> Block:
     """The block of a folder; points without approximate coordinates are intersected.
+
+    `check_start`: as for `read`.
 
     Raises: BlockError with all that is wrong.
     """
@@ -56,7 +58,8 @@ def read_block_folder(path: str | Path) -> Block:
     if noted:
         problems = weaknesses(block)
     else:
-        block, problems = with_figures(with_findings(*prepared(intersect(block))))
+        block = intersect(block)
+        block, problems = with_figures(with_findings(*prepared(block)) if check_start else block)
         problems = problems or validate(block) or _wrong_elements(block, settings.datum)
     told_of(problems, block, toml, tables, noted)
     if noted:

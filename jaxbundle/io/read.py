@@ -15,15 +15,19 @@ from jaxbundle.io.text import UnreadableError, file_bytes
 KNOWN = f"give a folder with {FILE} or a BAL text file"
 
 
-def read(path: str | Path) -> Block:
+def read(path: str | Path, *, check_start: bool = True) -> Block:
     """The block in a block folder, also named by its block.toml, or in a BAL file.
+
+    `check_start`: judge its numbers, and replace absurd approximate values where that is beyond doubt; what was found
+    stands in `structure.findings`.
 
     Raises: BlockError with all that is wrong, or where the path is none of them.
     """
     path = Path(path)
     if _is_folder(path):
-        return read_block_folder(_folder_of(path))
-    return with_findings(*prepared(read_bal(path)))
+        return read_block_folder(_folder_of(path), check_start=check_start)
+    block = read_bal(path)
+    return with_findings(*prepared(block)) if check_start else block
 
 
 def _is_folder(path: Path) -> bool:
