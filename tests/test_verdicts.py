@@ -1,4 +1,4 @@
-"""From a folder to its verdict: the mistakes people make, and small blocks of known truth that once were judged wrongly.
+"""From a folder to its verdict: the mistakes people make, and small blocks that were once judged wrongly.
 
 A row says what the whole way (read, adjust, findings) must come to: whether the result may be used, what is found, and
 who is named first. What the reader refuses by itself stands in test_mistakes_reader.

@@ -65,6 +65,8 @@ class Datum:
     `kind`: "control" (control points and observed stations), "fixed" (elements the user holds), "minimal" (7 elements
     chosen by the package), "inner" (free network), "open" (nothing yet). `held` names (image, element).
 
+    `carriers`: what gives the system of a datum by control, in words.
+
     Of a free network: `points` that carry the inner constraints, all if empty; `constraints`, their number, is 0 until
     the package has chosen what it holds meanwhile.
     """
@@ -73,13 +75,15 @@ class Datum:
     held: tuple[tuple[str, str], ...] = ()
     points: tuple[str, ...] = ()
     constraints: int = 0
+    carriers: tuple[str, ...] = ()
 
     def __str__(self) -> str:
         if self.kind == "inner":
             carrying = f"{len(self.points)} chosen points" if self.points else "all object points"
             return f"free network, {self.constraints or 'inner'} inner constraints over {carrying}"
         if not self.held:
-            return {"control": "control points and observed stations", "open": "none"}.get(self.kind, self.kind)
+            words = " and ".join(self.carriers) or "control points and observed stations"
+            return {"control": words, "open": "none"}.get(self.kind, self.kind)
         elements: dict[str, list[str]] = {}
         for image, element in self.held:
             elements.setdefault(image, []).append(element)

@@ -47,7 +47,7 @@ def with_datum(block: Block) -> Block:
         raise BlockError([inner_needs_none()])
     if defect.count == 0:
         kind = structure.datum.kind if structure.datum.held else "control"
-        return _with_structure(block, datum=Datum(kind, structure.datum.held))
+        return _with_structure(block, datum=Datum(kind, structure.datum.held, carriers=_carriers(block)))
     if is_located(block):
         raise BlockError([insufficient(defect)])
     chosen = _minimal(block)
@@ -63,6 +63,14 @@ def with_datum(block: Block) -> Block:
     else:
         datum = Datum("minimal", tuple(held))
     return _with_structure(block, datum=datum, exterior_free=free)
+
+
+def _carriers(block: Block) -> tuple[str, ...]:
+    """What is observed or held in the object system."""
+    words = {"point": "control points", "image": "observed stations"}
+    kinds = [group.structure.kind for group in block.groups if group.structure.kind.in_object_system and group.count]
+    held = ["control points"] if (~block.structure.point_free).any() else []
+    return tuple(dict.fromkeys([*held, *(words.get(kind.touches[0], kind.name) for kind in kinds)]))
 
 
 def _minimal(block: Block) -> list[tuple[int, int]]:

@@ -10,6 +10,7 @@ from jaxbundle.approximate.sight import sight_of
 from jaxbundle.approximate.start import checked_start
 from jaxbundle.block.block import Block
 from jaxbundle.block.findings import Finding, Severity, in_order
+from jaxbundle.block.magnitudes import repeated_rows
 from jaxbundle.diagnosis.approximations import mirrored_finding, start_findings, two_roles
 from jaxbundle.diagnosis.image_format import format_findings
 from jaxbundle.diagnosis.interior import interior_findings
@@ -29,7 +30,7 @@ def prepared(block: Block) -> tuple[Block, tuple[Finding, ...]]:
     if not block.concrete or not len(block.structure.ray_image):
         return block, ()
     with np.errstate(all="ignore"):
-        findings = [*format_findings(block), *interior_findings(block), *two_roles(block)]
+        findings = [*format_findings(block), *interior_findings(block), *two_roles(block), *repeated_rows(block)]
         if any(finding.severity is Severity.FAILED for finding in findings):
             return block, in_order(findings)
         sight = sight_of(block)

@@ -21,6 +21,7 @@ from jaxtyping import Array, Float
 
 from jaxbundle.block.block import Block, Camera, CheckPoints, ExteriorOrientation, InteriorOrientation, Rays, Structure
 from jaxbundle.block.findings import Finding
+from jaxbundle.block.given import require_a
 from jaxbundle.block.problems import BlockError, Problem, shown
 from jaxbundle.camera.forward import BAL
 from jaxbundle.geometry import rotation
@@ -226,6 +227,7 @@ def write_bal(block: Block, path: str | Path) -> None:
 
     Raises: BlockError where a camera has another model than `bal`.
     """
+    require_a(Block, block, "write_bal")
     structure = block.structure
     problems = [
         Problem(f"camera {camera.name} has the model '{camera.model.name}'", "BAL files know 'bal' alone")

@@ -7,6 +7,7 @@ import numpy as np
 from jaxtyping import Float
 
 from jaxbundle.block.block import CENTRE_ELEMENTS, Block, Camera, Structure
+from jaxbundle.block.given import require_a
 from jaxbundle.block.navigation import ATTITUDES, GNSS
 from jaxbundle.block.observations import CONTROL, PARAMETERS, STATIONS, ObservationKind, interior_priors
 from jaxbundle.block.problems import BlockError, Problem
@@ -37,6 +38,7 @@ def write_block_folder(block: Block, path: str | Path) -> None:
 
     Raises: BlockError where the block has a camera model or a kind of observation that has no place in format 1.
     """
+    require_a(Block, block, "write_block_folder")
     _require_writable(block)
     tables = {"images": _images(block), "rays": _rays(block), "points": _points(block)}
     tables |= {"control": _control(block), **navigation_columns(block), **observation_columns(block)}

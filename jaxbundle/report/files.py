@@ -13,6 +13,7 @@ import numpy as np
 
 from jaxbundle.block.block import Block
 from jaxbundle.block.findings import Finding
+from jaxbundle.block.given import require_a
 from jaxbundle.io.tables import write_table
 from jaxbundle.report.figures import figures_of
 from jaxbundle.report.folder import DATA, TEXT, replaced, require_writable
@@ -37,6 +38,7 @@ def write_report(adjustment: Adjustment, folder: str | Path, found: tuple[Findin
     Raises: FileExistsError where the folder holds files of these names that no adjustment wrote; another OSError where
     it cannot be written.
     """
+    require_a(Adjustment, adjustment, "write_report")
     robust = adjustment.reweighting is not None
     target, names = Path(folder), result_files(adjustment.block, robust)
     require_place(target, adjustment.block, robust)

@@ -12,6 +12,7 @@ import numpy as np
 
 from jaxbundle.block.block import Structure
 from jaxbundle.block.findings import Finding
+from jaxbundle.block.given import require_a
 from jaxbundle.diagnosis.elements import correlated_parameters
 from jaxbundle.diagnosis.sigmas import global_test
 from jaxbundle.report.figures import Figures, figures_of
@@ -21,6 +22,7 @@ from jaxbundle.solve.adjustment import Adjustment
 
 def report_dict(adjustment: Adjustment) -> dict[str, Any]:
     """The report of a concrete adjustment: counts, sigma0, all unknowns with their standard deviations."""
+    require_a(Adjustment, adjustment, "report_dict")
     return dict_of(figures_of(adjustment))
 
 

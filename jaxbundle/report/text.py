@@ -6,6 +6,7 @@ from collections.abc import Sequence
 import numpy as np
 
 from jaxbundle.block.findings import Finding
+from jaxbundle.block.given import require_a
 from jaxbundle.block.observations import CONTROL
 from jaxbundle.diagnosis.elements import HIGH_CORRELATION, correlated_parameters
 from jaxbundle.diagnosis.sigmas import global_test
@@ -33,6 +34,7 @@ PARAMETER, OWNER = 36, 26  # characters of a parameter's name, of one beside two
 
 def report_text(adjustment: Adjustment) -> str:
     """The report of a concrete adjustment, ASCII, at most 110 columns."""
+    require_a(Adjustment, adjustment, "report_text")
     return text_of(figures_of(adjustment))
 
 
