@@ -49,7 +49,7 @@ def film_folder(folder: Path, kind: str = "affine", noise: float = 0.3) -> Path:
     """The small block as scanned film, with noise in rays and fiducials (px)."""
     make_small_folder(folder)
     rng = np.random.default_rng(7)
-    mm = (image_coordinates() - [2010.0, 1490.0]) * [PIXEL, -PIXEL] + [0.1, -0.2]
+    mm = (image_coordinates() - [3010.0, 2490.0]) * [PIXEL, -PIXEL] + [0.1, -0.2]
     inverse = [np.linalg.inv(image_transformation(k)) for k in range(4)]
     scan = np.concatenate([by(m, part) for m, part in zip(inverse, mm.reshape(4, 12, 2), strict=True)])
     write(folder, "rays.csv", "image,point,x,y,sx,sy", rays(scan + noise * rng.standard_normal(scan.shape)))

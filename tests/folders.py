@@ -6,7 +6,7 @@ import numpy as np
 
 IMAGES = ("011", "012", "021", "022")
 POINTS = tuple(str(101 + k) for k in range(12))
-C, PIXEL, X0, Y0 = 50.0, 0.01, 2010.0, 1490.0
+C, PIXEL, X0, Y0 = 50.0, 0.01, 3010.0, 2490.0
 
 BLOCK_TOML = """\
 format = 1
@@ -23,10 +23,10 @@ system = "omega-phi-kappa"
 [cameras.wide]
 image_unit = "px"
 pixel_size = 0.01
-width = 4000
-height = 3000
+width = 6000
+height = 4000
 principal_distance = 50.0
-principal_point = [2010.0, 1490.0]
+principal_point = [3010.0, 2490.0]
 distortion = "none"
 estimate = []
 

@@ -95,8 +95,8 @@ def test_small_block(small: Path) -> None:
     assert block.observations == 2 * 48 + 3 + 2 + 1
     assert structure.unknowns == 4 * 6 + 11 * 3
     assert structure.datum == Datum("open")
-    assert structure.cameras[0].metric and structure.cameras[0].width == 4000
-    np.testing.assert_array_equal(block.interior.elements, [[50.0, 2010.0, 1490.0, 0.01, -1.0]])
+    assert structure.cameras[0].metric and structure.cameras[0].width == 6000
+    np.testing.assert_array_equal(block.interior.elements, [[50.0, 3010.0, 2490.0, 0.01, -1.0]])
     np.testing.assert_allclose(block.exterior.angles, np.radians(orientations()[:, 3:]), rtol=1e-15)
     np.testing.assert_array_equal(block.rays.coordinates, image_coordinates())
     np.testing.assert_array_equal(block.rays.sigmas, 0.5)
@@ -155,8 +155,8 @@ def test_camera_in_mm(small: Path) -> None:
     """The same rays in mm, y up from the principal point, give the same intersections."""
     change(small, "block.toml", 13, '"px"', '"mm"')
     change(small, "block.toml", 14, "pixel_size = 0.01", "")
-    change(small, "block.toml", 17, "[2010.0, 1490.0]", "[0.1, -0.2]")
-    x, y = (image_coordinates() - [2010.0, 1490.0]).T * 0.01
+    change(small, "block.toml", 17, "[3010.0, 2490.0]", "[0.1, -0.2]")
+    x, y = (image_coordinates() - [3010.0, 2490.0]).T * 0.01
     lines = (small / "rays.csv").read_text().splitlines()[1:]
     names = [line.split(",")[:2] for line in lines]
     rows = [
@@ -174,7 +174,7 @@ BROWN_CAMERA = """
 [cameras."second one"]
 image_unit = "px"
 principal_distance = 5000.0
-principal_point = [2010.0, 1490.0]
+principal_point = [3010.0, 2490.0]
 distortion = "brown"
 coefficients = { K1 = 1e-12, b2 = 1e-7 }
 estimate = ["x0", "K1", "principal_distance"]
@@ -190,7 +190,7 @@ def test_cameras_of_two_models(small: Path, tmp_path: Path) -> None:
     np.testing.assert_array_equal(block.structure.image_camera, [0, 1, 0, 0])
     np.testing.assert_array_equal(
         block.interior.elements,
-        [[50, 2010, 1490, 0.01, -1, *[1] * 7], [5000, 2010, 1490, 1e-12, 0, 0, 0, 0, 0, 1e-7, 1, -1]],
+        [[50, 3010, 2490, 0.01, -1, *[1] * 7], [5000, 3010, 2490, 1e-12, 0, 0, 0, 0, 0, 1e-7, 1, -1]],
     )
     np.testing.assert_array_equal(np.nonzero(block.structure.interior_free), [[1, 1, 1], [0, 1, 3]])
     write_block_folder(block, tmp_path / "again")

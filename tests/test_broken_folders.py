@@ -208,8 +208,8 @@ CASES: dict[str, tuple[Edit, str]] = {
     ),
     # block.toml
     "no TOML": (
-        toml(18, "[2010.0,", "[2010.0"),
-        "block.toml:18: no valid TOML: Unclosed array: principal_point = [2010.0 1490.0]; correct the line",
+        toml(18, "[3010.0,", "[3010.0"),
+        "block.toml:18: no valid TOML: Unclosed array: principal_point = [3010.0 2490.0]; correct the line",
     ),
     "other format": (toml(1, "1", "2"), "block.toml:1: format is 2; give 1"),
     "unknown unit": (toml(7, "deg", "grad"), "block.toml:7: [units] angle is \"grad\"; give 'deg', 'gon' or 'rad'"),
@@ -238,7 +238,7 @@ CASES: dict[str, tuple[Edit, str]] = {
         "block.toml:17: [cameras.wide] principal_distance is -50.0; it should be greater than 0",
     ),
     "no principal point": (
-        toml(18, "principal_point = [2010.0, 1490.0]", ""),
+        toml(18, "principal_point = [3010.0, 2490.0]", ""),
         "block.toml:18: [cameras.wide] principal_point is missing; "
         "give principal_point = [x0, y0] in the unit of the rays",
     ),

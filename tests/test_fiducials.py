@@ -141,7 +141,7 @@ def test_film_becomes_a_camera_in_mm(film: Path) -> None:
 
 def test_without_noise_the_rays_are_those_of_the_camera(tmp_path: Path) -> None:
     block = read_block_folder(film_folder(tmp_path / "exact", noise=0.0))
-    mm = (image_coordinates() - [2010.0, 1490.0]) * [PIXEL, -PIXEL] + [0.1, -0.2]
+    mm = (image_coordinates() - [3010.0, 2490.0]) * [PIXEL, -PIXEL] + [0.1, -0.2]
     np.testing.assert_allclose(block.rays.coordinates, mm, atol=1e-11)
 
 

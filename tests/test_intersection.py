@@ -94,7 +94,7 @@ def test_skew_rays_meet_in_the_middle_of_their_common_perpendicular(small: Block
     feet = []
     for image, (u, v) in enumerate(np.asarray(block.rays.coordinates)):
         matrix = np.array(block.structure.rotation_system.rotation_from_angles(*block.exterior.angles[image]))
-        direction = matrix.reshape(3, 3) @ [(u - 2010.0) * 0.01, -(v - 1490.0) * 0.01, -50.0]
+        direction = matrix.reshape(3, 3) @ [(u - 3010.0) * 0.01, -(v - 2490.0) * 0.01, -50.0]
         feet.append((centres[image], direction / np.linalg.norm(direction)))
     (a, d), (b, e) = feet
     s, t = np.linalg.lstsq(np.stack([d, -e], 1), b - a, rcond=None)[0]
