@@ -83,7 +83,7 @@ CASES: dict[str, tuple[Edit, str]] = {
     ),
     "truncated row": (
         line("rays.csv", 20, ",,", ""),
-        "rays.csv:20: the row '012,107,1693.0699331347178,730.5418535744063' has 4 fields, the header 6; "
+        "rays.csv:20: the row '012,107,2693.0699331347178,1730.5418535744063' has 4 fields, the header 6; "
         "complete the row or drop it",
     ),
     "row too long": (
@@ -160,8 +160,8 @@ CASES: dict[str, tuple[Edit, str]] = {
     ),
     # numbers
     "no number": (
-        line("rays.csv", 14, "356.25", "356;25"),
-        f"rays.csv:14: point 101 on image 012: x is '356;2519991438103', not a finite number; {NUMBER}",
+        line("rays.csv", 14, "1356.25", "1356;25"),
+        f"rays.csv:14: point 101 on image 012: x is '1356;2519991438103', not a finite number; {NUMBER}",
     ),
     "NaN": (
         line("points.csv", 7, "106,-7.0", "106,nan"),

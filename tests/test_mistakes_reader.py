@@ -57,7 +57,6 @@ REFUSED: dict[str, tuple[int, str, tuple[str, ...]]] = {
     "a41_sigma_empty": (1, "control.csv:2", ("none of the 16 control points", "sX, sY, sZ are empty", "in m")),
     "a45_only_2_control": (1, "rays.csv:8", ("point 403 is seen on one image only",)),
     "a46_no_control": (1, "rays.csv:8", ("point 403 is seen on one image only",)),
-    "a47_latlon": (1, "control.csv", ("the control leaves",)),
     "a52_duplicate_ray": (1, "rays.csv:1198", ("already in line 7", "drop one")),
     "a53_alpha_system_name": (1, "block.toml:7", ("'phi-omega-kappa'", "omega-phi-kappa, alpha-omega-kappa")),
     "a54_yaw_pitch_roll": (1, "block.toml:7", ("'yaw-pitch-roll'", "omega-phi-kappa, alpha-omega-kappa")),
