@@ -10,7 +10,7 @@ from simulated import small_block
 
 from jaxbundle.block.findings import Finding, Kind, Severity, Subject, in_order
 from jaxbundle.diagnosis.adjusted import findings
-from jaxbundle.diagnosis.elements import correlations_of
+from jaxbundle.diagnosis.elements import _together, correlations_of
 from jaxbundle.diagnosis.sigmas import global_test, group_factors
 from jaxbundle.solve.adjust import adjust
 from jaxbundle.solve.adjustment import Adjustment, Status
@@ -296,3 +296,11 @@ def test_error_along_the_base_is_controlled_less(adjustment):
     two = (np.bincount(s.ray_point)[s.ray_point] == 2) & second[s.ray_point]
     r = redundancy_numbers(adjustment)[0][two]
     assert (r[:, 0] < r[:, 1]).mean() > 0.9
+
+
+def test_many_cameras_are_one_finding():
+    one = [Finding(Kind.CORRELATED, f"camera {k}", "hold", (Subject("cameras", (str(k),), "K1"),)) for k in range(9)]
+    assert _together(one[:3]) == one[:3]
+    (all_of_them,) = _together(one)
+    assert all_of_them.what == "camera 0; likewise in 8 more cameras: 1, 2, 3, 4, 5 and 3 more"
+    assert [subject.names[0] for subject in all_of_them.subjects] == [str(k) for k in range(9)]

@@ -1,5 +1,7 @@
 """What the cofactors say of estimated elements of cameras and of parameters: weak, correlated or insignificant ones."""
 
+import dataclasses
+
 import numpy as np
 from jaxtyping import Float
 
@@ -12,6 +14,7 @@ from jaxbundle.solve.adjustment import Adjustment
 from jaxbundle.statistics.significance import NEVER_ZERO, insignificant, tested_parameters
 
 HIGH_CORRELATION = 0.95
+SEVERAL = 3  # cameras with a finding of their own
 WEAK_DISTANCE = 0.01  # sd over principal distance: flying heights and depths are as uncertain as it
 CONVERGENT = 0.87  # cosine of 30 degrees between two camera axes: such a block has what separates c, x0, y0
 TURNED = 0.5  # cosine of 60 degrees between the x axes of two photographs
@@ -22,13 +25,23 @@ def element_findings(adjustment: Adjustment) -> tuple[Finding, ...]:
     if adjustment.cofactors is None:
         return ()
     return (
-        *_weak(adjustment),
-        *_correlated_elements(adjustment),
+        *_together(_weak(adjustment)),
+        *_together(_correlated_elements(adjustment)),
         *_correlated_parameters(adjustment),
-        *_insignificant_elements(adjustment),
+        *_together(_insignificant_elements(adjustment)),
         *_insignificant_parameters(adjustment),
         *_loose_parameters(adjustment),
     )
+
+
+def _together(found: list[Finding]) -> list[Finding]:
+    """Findings of one kind, one for each camera; of many cameras one, which tells the first of them."""
+    if len(found) <= SEVERAL:
+        return found
+    cameras = [finding.subjects[0].names[0] for finding in found[1:]]
+    subjects = tuple(subject for finding in found for subject in finding.subjects)
+    what = f"{found[0].what}; likewise in {len(cameras)} more cameras: {named(cameras)}"
+    return [dataclasses.replace(found[0], what=what, subjects=subjects)]
 
 
 def _undetermined(adjustment: Adjustment) -> set[Subject]:
@@ -53,8 +66,8 @@ def _weak(adjustment: Adjustment) -> list[Finding]:
         )
         cure = "hold it or give it a prior, or add control in relief or convergent images"
         subject = Subject("cameras", (camera.name,), "principal_distance")
-        found.append(Finding(Kind.WEAK, what, cure, (subject,), float(sd[c, k]), unit))
-    return found
+        found.append((share, Finding(Kind.WEAK, what, cure, (subject,), float(sd[c, k]), unit)))
+    return [finding for _, finding in sorted(found, key=lambda pair: -pair[0])]
 
 
 def is_convergent(block: Block) -> bool:
@@ -81,7 +94,7 @@ def _correlated_elements(adjustment: Adjustment) -> list[Finding]:
             what = f"elements of camera {camera.name} are highly correlated: {listed}"
             size = float(matrices[c, pairs[0][0], pairs[0][1]])
             found.append(Finding(Kind.CORRELATED, what, f"hold one of each pair{add}", tuple(subjects), size))
-    return found
+    return sorted(found, key=lambda finding: -abs(finding.size))
 
 
 def correlations_of(covariance: Float[np.ndarray, "element element"]) -> Float[np.ndarray, "element element"]:
