@@ -1,28 +1,13 @@
 """Words about approximate values that were replaced."""
 
-import math
-
 import numpy as np
 from jaxtyping import Bool, Float
 
 from jaxbundle.approximate.sight import Sight
 from jaxbundle.block.block import Block
 from jaxbundle.block.findings import Finding, Kind, Subject
+from jaxbundle.block.wording import RADIANS, counted, named
 from jaxbundle.numerics.host import on_host
-
-SHOWN = 5  # names in a sentence; all are in its subjects
-PER_RADIAN = {"deg": 180 / math.pi, "gon": 200 / math.pi, "rad": 1.0}
-
-
-def named(names: list[str]) -> str:
-    """The first names and how many more there are."""
-    more = f" and {len(names) - SHOWN} more" if len(names) > SHOWN else ""
-    return ", ".join(names[:SHOWN]) + more
-
-
-def counted(count: int, what: str) -> str:
-    """ "1 image", "5 images"."""
-    return f"{count} {what}" if count == 1 else f"{count} {what}s"
 
 
 def turned(
@@ -43,7 +28,7 @@ def replaced_images(block: Block, replaced: Bool[np.ndarray, " image"], now: Sig
         [on_host(x) for x in structure.rotation_system.rotation_from_angles(*on_host(block.exterior.angles)[chosen].T)],
         -1,
     )
-    angle = turned(before.reshape(-1, 3, 3), now.rotation[chosen]) * PER_RADIAN[structure.angle_unit]
+    angle = turned(before.reshape(-1, 3, 3), now.rotation[chosen]) / RADIANS[structure.angle_unit]
     distance = np.linalg.norm(now.centre[chosen] - on_host(block.exterior.projection_centre)[chosen], axis=1)
     order = np.argsort(-angle)
     parts = [

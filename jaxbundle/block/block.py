@@ -16,6 +16,7 @@ from jaxtyping import Array, Bool, Float, Int
 
 from jaxbundle.block.findings import Finding
 from jaxbundle.block.observations import ObservationGroup
+from jaxbundle.block.wording import counted
 from jaxbundle.camera.fiducials import InnerOrientation
 from jaxbundle.camera.model import CameraModel, mixture
 from jaxbundle.geometry.rotation import OMEGA_PHI_KAPPA, RotationSystem
@@ -23,11 +24,6 @@ from jaxbundle.numerics.host import array_module, is_concrete, on_device, on_hos
 
 CENTRE_ELEMENTS = ("X0", "Y0", "Z0")
 IN_IMAGE_UNIT = ("principal_distance", "x0", "y0", "f")  # interior elements that are lengths in the image
-
-
-def counted(number: int, noun: str) -> str:
-    """A number and its noun: "1 image", "2 images"."""
-    return f"{number} {noun}{'' if number == 1 else 's'}"
 
 
 @dataclass(frozen=True)

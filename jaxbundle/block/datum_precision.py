@@ -18,11 +18,11 @@ from jaxbundle.block.datum_defect import datum_equations
 from jaxbundle.block.findings import Finding, Kind, Severity, Subject
 from jaxbundle.block.observed_places import Frame, frame_of, observed_places
 from jaxbundle.block.similarity_defect import SimilarityDefect, displacements, similarity_defect
+from jaxbundle.block.wording import named
 
 LARGEST_ANGLE = np.deg2rad(10.0)  # standard deviation: beyond, propagation of errors of first order is wrong by 1.5 %
 LARGEST_SHARE = 0.1  # standard deviation of a place, of the block's radius: no map of any scale is drawn from it
 AT_REST = 0.05  # of the largest displacement: places that carry the axis of a rotation
-MOST_NAMED = 6
 
 
 class DatumPrecision(NamedTuple):
@@ -90,7 +90,7 @@ def _finding(block: Block, worst: Float[np.ndarray, "7 1"], moved: float, angle:
     resting = [places[k] for k in np.flatnonzero(size <= AT_REST * moved)]
     what, turns = similarity_words(worst)
     if turns and len(resting) > 1:
-        what = f"the rotation about the line through {_listed([name for _, name, _ in resting])}"
+        what = f"the rotation about the line through {named([name for _, name, _ in resting])}"
     sized = f"{np.rad2deg(angle):.3g} deg" if turns else f"{moved:.3g} {unit}"
     what = (
         f"control and observed stations determine {what} with a standard deviation of {sized} only:"
@@ -110,8 +110,3 @@ def similarity_words(direction: Float[np.ndarray, "7 1"]) -> tuple[str, bool]:
     unit[rows] = direction[rows, 0] / shares[kind]
     found: SimilarityDefect = similarity_defect(unit[:, None])
     return found.words, kind == 1
-
-
-def _listed(names: list[str]) -> str:
-    more = len(names) - MOST_NAMED
-    return ", ".join(names[:MOST_NAMED]) + (f" and {more} more" if more > 0 else "")

@@ -13,13 +13,13 @@ import equinox as eqx
 import numpy as np
 from jaxtyping import Bool, Float, Int
 
-from jaxbundle.approximate.replaced import counted, named
 from jaxbundle.approximate.sight import intersected, photo_vectors, sight_of
 from jaxbundle.block.block import Block
 from jaxbundle.block.changes import without_component
 from jaxbundle.block.findings import Finding, Kind, Subject
 from jaxbundle.block.observations import CONTROL, observation_group
 from jaxbundle.block.problems import BlockError
+from jaxbundle.block.wording import counted, named
 from jaxbundle.diagnosis.wrong_rays import wrong_rays
 from jaxbundle.numerics.host import on_device, on_host
 from jaxbundle.solve.adjust import adjust

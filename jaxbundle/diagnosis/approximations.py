@@ -17,11 +17,11 @@ from jaxbundle.approximate.alternatives import (
     of_both,
     of_stations,
 )
-from jaxbundle.approximate.replaced import counted, named
 from jaxbundle.approximate.sight import HALF, Sight, mostly_beyond, off, only, relative_off
 from jaxbundle.approximate.start import CheckedStart
 from jaxbundle.block.block import Block
 from jaxbundle.block.findings import Finding, Kind, Severity, Subject
+from jaxbundle.block.wording import counted, named
 
 MOST = 0.5  # share of an image's rays behind that is told
 FEW_BEHIND = 0.01  # share of all rays: real blocks have some far or wrong points behind

@@ -4,7 +4,8 @@ import numpy as np
 from jaxtyping import Bool
 
 from jaxbundle.block.findings import Finding, Kind, Severity, Subject
-from jaxbundle.diagnosis.wording import are, counted, figure, named, ray_name, ray_subject
+from jaxbundle.block.wording import are, counted, figure, named
+from jaxbundle.diagnosis.rays_in_words import ray_name, ray_subject
 from jaxbundle.solve.adjustment import Adjustment
 from jaxbundle.statistics.reliability import UNCONTROLLED, reliability
 from jaxbundle.statistics.snooping import describe

@@ -9,7 +9,7 @@ from jaxbundle.block.block import Block
 from jaxbundle.block.depths import viewing_directions
 from jaxbundle.block.findings import Finding, Kind, Subject
 from jaxbundle.block.unknowns import unknowns_of
-from jaxbundle.diagnosis.wording import counted, figure, named
+from jaxbundle.block.wording import counted, figure, named
 from jaxbundle.solve.adjustment import Adjustment
 from jaxbundle.statistics.significance import NEVER_ZERO, insignificant, tested_parameters
 

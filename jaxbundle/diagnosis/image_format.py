@@ -15,10 +15,10 @@ import numpy as np
 from jaxtyping import Bool, Float, Int
 
 from jaxbundle.approximate.alternatives import explains, left
-from jaxbundle.approximate.replaced import counted, named
 from jaxbundle.approximate.sight import sight_of
 from jaxbundle.block.block import Block, InteriorOrientation, Rays
 from jaxbundle.block.findings import Finding, Kind, Severity, Subject
+from jaxbundle.block.wording import counted, named
 from jaxbundle.numerics.host import on_device
 
 MARGIN = 0.01  # of the format: marks on the border of scanned film lie a little outside

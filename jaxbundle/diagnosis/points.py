@@ -4,7 +4,7 @@ import numpy as np
 from jaxtyping import Float
 
 from jaxbundle.block.findings import Finding, Kind, Severity, Subject
-from jaxbundle.diagnosis.wording import are, counted, figure, named
+from jaxbundle.block.wording import are, counted, figure, named
 from jaxbundle.solve.adjustment import Adjustment
 
 FAR = 0.3  # sd over distance from the camera: rays of such a point are parallel but for their errors

@@ -3,7 +3,8 @@
 import numpy as np
 
 from jaxbundle.block.findings import Finding, Kind
-from jaxbundle.diagnosis.wording import counted, named, ray_name, ray_subject
+from jaxbundle.block.wording import counted, named
+from jaxbundle.diagnosis.rays_in_words import ray_name, ray_subject
 from jaxbundle.solve.adjustment import DOWN_WEIGHTED, Adjustment
 
 

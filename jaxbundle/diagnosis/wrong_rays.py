@@ -14,7 +14,8 @@ from jaxbundle.block.block import Block
 from jaxbundle.block.findings import Finding, Kind, Subject
 from jaxbundle.block.residuals import observations_of, ray_residuals
 from jaxbundle.block.unknowns import unknowns_of
-from jaxbundle.diagnosis.wording import counted, figure, named, ray_name, ray_subject
+from jaxbundle.block.wording import counted, figure, named
+from jaxbundle.diagnosis.rays_in_words import ray_name, ray_subject
 from jaxbundle.numerics.host import on_device
 from jaxbundle.solve.adjustment import DOWN_WEIGHTED, Adjustment, Status
 from jaxbundle.solve.attempt import attempt

@@ -25,6 +25,7 @@ from jaxbundle.block.changes import with_findings
 from jaxbundle.block.datum_defect import datum_defect
 from jaxbundle.block.problems import BlockError, Problem, shown
 from jaxbundle.block.validate import validate, weaknesses
+from jaxbundle.block.wording import RADIANS
 from jaxbundle.diagnosis.before import prepared
 from jaxbundle.geometry.rotation import ROTATION_SYSTEMS
 from jaxbundle.io.block_toml import FILE, BlockToml, read_block_toml
@@ -32,7 +33,7 @@ from jaxbundle.io.fiducial_tables import with_inner_orientations
 from jaxbundle.io.folder_tables import FolderTables, KnownRows, RayRows, read_folder_tables
 from jaxbundle.io.noted import Noted, listed
 from jaxbundle.io.observation_groups import found_in, interior_groups, interior_values
-from jaxbundle.io.settings import RADIANS, CameraSection, DatumSection, Settings
+from jaxbundle.io.settings import CameraSection, DatumSection, Settings
 from jaxbundle.io.told import told_of
 from jaxbundle.io.unused import unused
 

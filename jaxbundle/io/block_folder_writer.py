@@ -11,6 +11,7 @@ from jaxbundle.block.given import require_a
 from jaxbundle.block.navigation import ATTITUDES, GNSS
 from jaxbundle.block.observations import CONTROL, PARAMETERS, STATIONS, ObservationKind, interior_priors
 from jaxbundle.block.problems import BlockError, Problem
+from jaxbundle.block.wording import RADIANS
 from jaxbundle.camera.model import CORRECTIONS
 from jaxbundle.camera.registry import CAMERA_MODELS, named_model
 from jaxbundle.io.block_toml import FILE, write_block_toml
@@ -26,7 +27,7 @@ from jaxbundle.io.observation_writer import (
     owner_names,
     priors_of,
 )
-from jaxbundle.io.settings import RADIANS, Settings, coefficient_names
+from jaxbundle.io.settings import Settings, coefficient_names
 from jaxbundle.io.tables import Columns, write_table
 
 

@@ -13,9 +13,10 @@ from pydantic import ValidationError
 from pydantic_core import ErrorDetails
 
 from jaxbundle.block.problems import is_hidden, shown
+from jaxbundle.block.wording import RADIANS
 from jaxbundle.geometry.rotation import OMEGA_PHI_KAPPA, ROTATION_SYSTEMS, RotationSystem
 from jaxbundle.io.noted import Noted, listed
-from jaxbundle.io.settings import RADIANS, Settings, TableNames
+from jaxbundle.io.settings import Settings, TableNames
 from jaxbundle.io.settings_words import OF_NAMES, in_words
 from jaxbundle.io.tables import read_text
 

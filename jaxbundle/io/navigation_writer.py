@@ -8,11 +8,11 @@ from jaxbundle.block.block import Block
 from jaxbundle.block.navigation import ATTITUDES, GNSS
 from jaxbundle.block.observations import STATIONS, ObservationGroup
 from jaxbundle.block.problems import Problem
+from jaxbundle.block.wording import RADIANS
 from jaxbundle.io.folder_tables import COORDINATES
 from jaxbundle.io.navigation_tables import KINDS
 from jaxbundle.io.observation_groups import axes_of, parameter_name
 from jaxbundle.io.observation_writer import Prior, priors_of
-from jaxbundle.io.settings import RADIANS
 from jaxbundle.io.tables import Columns
 
 Numbers = tuple[int, ...]  # of the nine parameters of a group

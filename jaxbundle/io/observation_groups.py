@@ -20,12 +20,13 @@ from jaxbundle.block.observations import (
     interior_priors,
     observation_group,
 )
+from jaxbundle.block.wording import RADIANS
 from jaxbundle.geometry.rotation import ROTATION_SYSTEMS
 from jaxbundle.io.block_toml import BlockToml
 from jaxbundle.io.folder_tables import FolderTables, KnownRows
 from jaxbundle.io.navigation_tables import DRIFTS, KINDS, section_of
 from jaxbundle.io.observation_tables import PAIRS, FigureRows, PairRows
-from jaxbundle.io.settings import OF_ATTITUDES, RADIANS, CameraSection, Settings
+from jaxbundle.io.settings import OF_ATTITUDES, CameraSection, Settings
 
 FRAME_NAMES = {"planes": ("a", "b", "d"), "lines": ("a", "b", "p", "q")}
 PREFIX = {"directions": "orientation of set ", "scale_bars": "length of bar "}

@@ -14,9 +14,9 @@ from jaxbundle.block.block import Block
 from jaxbundle.block.geodetic import ANGLES, LINES, PLANES, geodetic_kind
 from jaxbundle.block.observations import PARAMETERS, ObservationGroup, ObservationKind
 from jaxbundle.block.problems import Problem
+from jaxbundle.block.wording import RADIANS
 from jaxbundle.io.observation_groups import FRAME_NAMES, PREFIX
 from jaxbundle.io.observation_tables import IMAGE, OWNERS, PAIRS
-from jaxbundle.io.settings import RADIANS
 from jaxbundle.io.tables import Columns
 
 ENDS = ("point", "image")

@@ -1,6 +1,5 @@
 """What block.toml says: units, rotation system, cameras, navigation, datum and the names of a block folder's tables."""
 
-import math
 from typing import Annotated, Any, Literal, TypeVar
 
 from pydantic import BaseModel, ConfigDict, Field, field_validator
@@ -28,7 +27,6 @@ from jaxbundle.io.setting_types import (
     problem,
 )
 
-RADIANS = {"deg": math.pi / 180, "gon": math.pi / 200, "rad": 1.0}
 WITH_KEYS = ("principal_distance", "x0", "y0", "pixel_size", "y_axis")  # interior elements that are no coefficients
 OF_STATIONS = ("lever_arm", "shift", "drift")
 OF_ATTITUDES = ("boresight", "attitude_shift", "attitude_drift")

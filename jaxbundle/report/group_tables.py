@@ -10,8 +10,8 @@ from jaxbundle.block.block import Block, Structure
 from jaxbundle.block.geodetic import ANGLES
 from jaxbundle.block.navigation import ATTITUDES
 from jaxbundle.block.observations import PARAMETERS, ObservationGroup, ObservationKind
+from jaxbundle.block.wording import RADIANS
 from jaxbundle.io.observation_tables import IMAGE
-from jaxbundle.io.settings import RADIANS
 
 OTHER_NAMES = {"parameters": "priors", "interior": "interior_priors"}  # tables of the report have these names already
 TAKEN = ("images", "cameras", "points", "rays", "check_points", "inner_orientation", "fiducials", "down_weighted")

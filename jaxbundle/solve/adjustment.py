@@ -7,8 +7,9 @@ import equinox as eqx
 import numpy as np
 from jaxtyping import Array, Float, Int
 
-from jaxbundle.block.block import Block, counted
+from jaxbundle.block.block import Block
 from jaxbundle.block.findings import Finding, Kind, Severity, of_kind
+from jaxbundle.block.wording import counted
 from jaxbundle.normals.implicit import TOLERANCE
 from jaxbundle.numerics.host import array_module, is_concrete, on_device, on_host
 

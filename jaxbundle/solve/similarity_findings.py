@@ -10,8 +10,8 @@ from jaxbundle.block.findings import Finding, Kind, Subject
 from jaxbundle.block.observed_places import observed_places
 from jaxbundle.block.parts import Part
 from jaxbundle.block.similarity_defect import SimilarityDefect, displacements, similarity_defect
+from jaxbundle.block.wording import NAMED, counted, named
 
-SHOWN = 6  # names in a sentence; the subjects have all
 MOVES = 1e-6  # of the largest coefficient: below, a part rests
 AT_REST = 1e-6  # of the radius: a place on the axis of a rotation
 
@@ -44,7 +44,7 @@ def gauge_findings(block: Block, gauge: Gauge) -> list[Finding]:
         size = np.linalg.norm(displacements(turn, at, gauge.radius)[0], axis=1)
         resting = [places[k][:2] for k in np.flatnonzero(size <= AT_REST * gauge.radius)]
         if len(resting) > 1:
-            what = f"the rotation about the line through {listed([name for _, name in resting])}"
+            what = f"the rotation about the line through {named([name for _, name in resting])}"
         subjects = tuple(Subject("control" if entity == "point" else "stations", (name,)) for entity, name in resting)
     return [
         Finding(
@@ -70,33 +70,22 @@ def _parts(structure: Structure, gauge: Gauge) -> Finding:
     common = np.unique(np.concatenate([part.common for part in gauge.parts]))
     shared = [structure.point_names[p] for p in common]
     link = (
-        f"connected by {counted(len(shared), 'point')} only ({listed(shared)})" if shared else "without a common point"
+        f"connected by {counted(len(shared), 'point')} only ({named(shared)})" if shared else "without a common point"
     )
     what = (
-        f"the block consists of {len(gauge.parts)} parts {link}: {'; '.join(described[:SHOWN])}"
-        f"{'; ...' if len(described) > SHOWN else ''}. Against the rest the observations do not determine"
-        f" {'; '.join(open_parts[:SHOWN])}"
+        f"the block consists of {len(gauge.parts)} parts {link}: {'; '.join(described[:NAMED])}"
+        f"{'; ...' if len(described) > NAMED else ''}. Against the rest the observations do not determine"
+        f" {'; '.join(open_parts[:NAMED])}"
     )
     cure = "measure three or more well spread points common to the parts, or give each part control of its own"
     return Finding(Kind.PARTS, what, cure, tuple(subjects))
 
 
 def _images(names: list[str]) -> str:
-    return f"{'image' if len(names) == 1 else f'{len(names)} images'} {listed(names)}"
+    return f"{'image' if len(names) == 1 else f'{len(names)} images'} {named(names)}"
 
 
 def orthonormal(columns: Float[np.ndarray, "7 direction"]) -> Float[np.ndarray, "7 k"]:
     """Orthonormal columns that span the same space."""
     left, size, _ = np.linalg.svd(columns, full_matrices=False)
     return left[:, size > 1e-6 * size.max(initial=0.0)]
-
-
-def counted(number: int, noun: str) -> str:
-    """A number with its noun."""
-    return f"{number} {noun}{'' if number == 1 else 's'}"
-
-
-def listed(names: list[str]) -> str:
-    """The first names, and how many more there are."""
-    more = len(names) - SHOWN
-    return ", ".join(names[:SHOWN]) + (f" and {more} more" if more > 0 else "")

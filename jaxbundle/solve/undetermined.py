@@ -19,6 +19,7 @@ from scipy.sparse.csgraph import connected_components
 from jaxbundle.block.block import Block, Structure
 from jaxbundle.block.findings import Finding, Kind, Subject
 from jaxbundle.block.parts import parts_of
+from jaxbundle.block.wording import named
 from jaxbundle.normals.arrange import Arranged, Arrangement, Problem
 from jaxbundle.normals.inspection import WEAKEST_SHARE, Inspection, reduced_products
 from jaxbundle.normals.kept_vector import KeptVector
@@ -28,7 +29,7 @@ from jaxbundle.numerics.compilation import Compiled
 from jaxbundle.numerics.host import on_device, on_host
 from jaxbundle.numerics.shapes import grid_size
 from jaxbundle.solve.free_network import similarities
-from jaxbundle.solve.similarity_findings import Gauge, gauge_findings, listed
+from jaxbundle.solve.similarity_findings import Gauge, gauge_findings
 
 MOST_NAMED = 3000  # kept unknowns; beyond, only where the factorisation failed is told
 HELD = 1e-8  # of a transformation's length: what moves a held unknown
@@ -129,7 +130,7 @@ def _loose_points(structure: Structure, plan: Arrangement, found: Inspection) ->
     names = [structure.point_names[p] for p in np.nonzero(~(shares[plan.order.point] > WEAKEST_SHARE))[0]]
     if not names:
         return (), 0
-    what = f"the observations do not determine {'points' if len(names) > 1 else 'point'} {listed(names)}"
+    what = f"the observations do not determine {'points' if len(names) > 1 else 'point'} {named(names)}"
     return (Finding(Kind.UNDETERMINED, what, CURES["point"], tuple(Subject("points", (n,)) for n in names)),), len(
         names
     )
@@ -275,7 +276,7 @@ def _by_cause(null: Float[np.ndarray, "kept direction"], names: dict[int, tuple[
         own = own[moved[own] > TAKES_PART * moved[own[0]]]
         subjects = tuple(Subject(f"{kind}s", (name,), element) for kind, name, element in (names[k] for k in own))
         together = " together" if len(own) > 1 else ""
-        elements = listed([f"{s.component} of {s.table[:-1]} {s.names[0]}".removeprefix(" of ") for s in subjects])
+        elements = named([f"{s.component} of {s.table[:-1]} {s.names[0]}".removeprefix(" of ") for s in subjects])
         what = f"the observations do not determine {elements}{together}"
         found.append(Finding(Kind.UNDETERMINED, what, CURES[names[own[0]][0]], subjects))
     return found
