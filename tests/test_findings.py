@@ -302,5 +302,5 @@ def test_many_cameras_are_one_finding():
     one = [Finding(Kind.CORRELATED, f"camera {k}", "hold", (Subject("cameras", (str(k),), "K1"),)) for k in range(9)]
     assert _together(one[:3]) == one[:3]
     (all_of_them,) = _together(one)
-    assert all_of_them.what == "camera 0; likewise in 8 more cameras: 1, 2, 3, 4, 5 and 3 more"
+    assert all_of_them.what == "camera 0; likewise in 8 more cameras: 1, 2, 3, 4, 5, 6 and 2 more"
     assert [subject.names[0] for subject in all_of_them.subjects] == [str(k) for k in range(9)]

@@ -112,7 +112,7 @@ BLOCKS: dict[str, Verdict] = {
     "35-plan-as-approximation/gcp-plan": Verdict(True, sigma0=0.9626),
     "35-plan-as-approximation/plan": Verdict(True, sigma0=1.032),
     "35-plan-as-approximation/true-approx": Verdict(True, sigma0=1.032),
-    "36-which-ray/b": Verdict(True, (Kind.SUSPECT,)),
+    "36-which-ray/b": Verdict(False, (Kind.SUSPECT,), ("s2_03", "t0905")),
     "fuzz/solve/approx-below-ground-noprec": Verdict(True, (Kind.START, Kind.REPAIRED)),
     "fuzz/solve/approx-centres-10000": Verdict(True, (Kind.REPAIRED,)),
     "fuzz/solve/approx-omega-180": Verdict(True, (Kind.REPAIRED,)),
@@ -212,4 +212,4 @@ def test_a_wrong_height_is_named_whatever_its_size(shared_data: Path, size: floa
     named = [f for f in found if f.kind in (Kind.CONTROL_SYSTEM, Kind.SUSPECT)]
     assert named and all(f.subjects[0].names == (name,) for f in named), [f.words for f in found]
     sizes = np.array([abs(f.size) for f in named])
-    assert np.abs(sizes - size).min() < max(0.15 * size, 0.1)
+    assert np.abs(sizes - size).min() < max(0.15 * size, 0.2)

@@ -12,6 +12,7 @@ from jaxbundle.diagnosis.points import point_findings
 from jaxbundle.diagnosis.reweighted import robust_findings
 from jaxbundle.diagnosis.sigmas import sigma_findings
 from jaxbundle.solve.adjustment import Adjustment, Status
+from jaxbundle.solve.verdict import BEYOND_USE
 from jaxbundle.statistics.suspects import find_suspects
 
 NO_ERRORS = 1e-6  # sigma0 of observations that have none: residuals are rounding
@@ -35,15 +36,21 @@ def findings(adjustment: Adjustment, start: Block | None = None) -> tuple[Findin
     `start`: the block as it was given to the adjustment; with it, what kept the block from converging is looked for.
     """
     found = [*adjustment.findings, *robust_findings(adjustment)]
-    known = () if start is None else causes(start, adjustment)
-    found += known
+    told = () if of_kind(adjustment.failures, *MISLEADING) else _of_residuals(adjustment)
+    if start is not None and not _explain(told):
+        told = causes(start, adjustment) or told
+    found += told
     if adjustment.status is Status.CONVERGED:
-        if not known and not of_kind(adjustment.failures, *MISLEADING):
-            found += _of_residuals(adjustment)
         found += [*element_findings(adjustment), *point_findings(adjustment), *controlled_findings(adjustment)]
     if adjustment.cofactors is None:
         found.append(Finding(Kind.NO_PRECISION, "no standard deviations were computed"))
     return in_order(_explained(found))
+
+
+def _explain(told: tuple[Finding, ...]) -> bool:
+    """Whether the culprits that the residuals tell leave a block that fits; else something else has made them."""
+    fit = [f.size for f in of_kind(told, Kind.GLOBAL_TEST, Kind.SIGMAS)]
+    return bool(of_kind(told, Kind.SUSPECT, Kind.SYSTEMATIC)) and max(fit, default=0.0) <= BEYOND_USE
 
 
 def _explained(found: list[Finding]) -> list[Finding]:
@@ -62,7 +69,8 @@ def _explained(found: list[Finding]) -> list[Finding]:
 
 def _of_residuals(adjustment: Adjustment) -> tuple[Finding, ...]:
     """Suspects and sigmas; robust weights make residuals small by themselves."""
-    if adjustment.reweighting is not None or float(adjustment.sigma0) < NO_ERRORS:
+    quiet = adjustment.reweighting is not None or float(adjustment.sigma0) < NO_ERRORS
+    if quiet or adjustment.status is not Status.CONVERGED:
         return ()
     suspects = find_suspects(adjustment)
     sigmas = sigma_findings(adjustment, suspects.sigma0 if suspects.suspicions else None)

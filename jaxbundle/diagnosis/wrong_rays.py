@@ -67,8 +67,7 @@ def _without_far_off(start: Block) -> tuple[Adjustment, Int[np.ndarray, " ray"]]
     found = attempt(eqx.tree_at(lambda b: b.rays.sigmas, start, on_device(loose)), max_iterations=ITERATIONS)
     if found is None:
         return None
-    left = np.linalg.norm(np.asarray(found.residuals[0])[far] / sigmas[far], axis=1)
-    return found, far[left > OUTLYING * max(float(found.sigma0), 1.0)]
+    return found, _outlying(start, found, far)
 
 
 def _robust(start: Block) -> tuple[Adjustment, Int[np.ndarray, " ray"]] | None:
@@ -76,7 +75,13 @@ def _robust(start: Block) -> tuple[Adjustment, Int[np.ndarray, " ray"]] | None:
     found = attempt(start, robust=Danish(), max_iterations=ITERATIONS)
     if found is None or found.reweighting is None:
         return None
-    return found, np.flatnonzero(np.asarray(found.reweighting.weights) < DOWN_WEIGHTED)
+    return found, _outlying(start, found, np.flatnonzero(np.asarray(found.reweighting.weights) < DOWN_WEIGHTED))
+
+
+def _outlying(start: Block, found: Adjustment, rays: Int[np.ndarray, " ray"]) -> Int[np.ndarray, " ray"]:
+    """Those rays whose residuals are no errors of measurement."""
+    size = np.linalg.norm(np.asarray(found.residuals[0])[rays] / np.asarray(start.rays.sigmas)[rays], axis=1)
+    return rays[size > OUTLYING * max(float(found.sigma0), 1.0)]
 
 
 def _whole_images(start: Block, low: Int[np.ndarray, " ray"]) -> tuple[list[int], Int[np.ndarray, " ray"]]:
