@@ -18,6 +18,7 @@ from jaxbundle.normals.arrange import arrange
 from jaxbundle.normals.incidence import kept_points
 from jaxbundle.normals.tiles import SLOTS
 from jaxbundle.solve.adjust import adjust
+from jaxbundle.solve.adjustment import Status
 from jaxbundle.solve.stopping import parallax_rule
 
 pytestmark = pytest.mark.xdist_group("duplicates")
@@ -54,7 +55,7 @@ def test_repeats_are_counted(block):
 def test_adjustment_is_the_dense_one(block):
     """Residuals, cofactors and redundancy numbers at the minimum."""
     adjustment = adjust(block, method="gauss-newton")
-    assert adjustment.trustworthy
+    assert adjustment.status is Status.CONVERGED
     unknowns, observations = centred(adjustment.block)
     system = dense_system(unknowns, observations)
     weighted = np.concatenate([np.asarray(v).T.ravel() for v in adjustment.weighted_residuals])

@@ -17,6 +17,7 @@ from jaxbundle.camera.brown import BROWN, DISTORTION_FREE
 from jaxbundle.normals.arrange import arrange, arranged_unknowns, problem, restored_unknowns
 from jaxbundle.normals.reduced_plan import Method
 from jaxbundle.solve.adjust import adjust
+from jaxbundle.solve.adjustment import Status
 from jaxbundle.solve.levenberg_marquardt import Arguments, BundleSolver, run
 from jaxbundle.solve.search import FullStep
 from jaxbundle.solve.stopping import AngleRule
@@ -132,7 +133,7 @@ def test_steps_by_conjugate_gradients(block):
 def test_standard_deviations(block):
     """At the minimum, the attitudes in the user's angles."""
     adjustment = adjust(block, method="gauss-newton")
-    assert adjustment.trustworthy
+    assert adjustment.status is Status.CONVERGED
     unknowns, observations = centred(adjustment.block)
     expected = float(adjustment.sigma0) * np.sqrt(np.diagonal(dense_cofactors(unknowns, observations)))
     sd = adjustment.standard_deviations

@@ -247,7 +247,9 @@ def test_free_network(simple, held: bool) -> None:
     """Constraints count in the redundancy unless the elements they stand for are held meanwhile."""
     datum = Datum("inner", (("1_01", "X0"),) if held else (), (), 7)
     structure = dataclasses.replace(simple.block.structure, datum=datum)
-    free = dataclasses.replace(simple, block=dataclasses.replace(simple.block, structure=structure))
+    free = dataclasses.replace(
+        simple, block=dataclasses.replace(simple.block, structure=structure), redundancy_numbers=None
+    )
     text, report = report_text(free), report_dict(free)
     assert "Datum                free network, 7 inner constraints over all object points" in text
     assert report["constraints"] == (0 if held else 7)

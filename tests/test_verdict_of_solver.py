@@ -29,7 +29,7 @@ pytestmark = pytest.mark.xdist_group("verdict_of_solver")
 def degenerate(shared_data):
     """Small blocks of one shape."""
     folder = shared_data / "cases" / "fuzz" / "solve"
-    return lambda name: read_block_folder(folder / name)
+    return lambda name: read_block_folder(folder / name, check_start=False)
 
 
 def test_the_gradient_is_held_against_the_residuals_and_their_rounding():
@@ -40,10 +40,14 @@ def test_the_gradient_is_held_against_the_residuals_and_their_rounding():
     assert not is_flat(jnp.asarray(jnp.nan), cost, noise, FLAT)
 
 
-@pytest.mark.parametrize("name", ["approx-below-ground-noprec", "principal-distance-1e-12-noprec"])
-def test_no_minimum_is_called_converged(degenerate, name):
+@pytest.mark.parametrize("principal_distance", [None, 1e-12])
+def test_no_minimum_is_called_converged(degenerate, principal_distance):
     """A large damping makes any step short; unknowns of an end point that is no minimum are not called undetermined."""
-    found = adjust(degenerate(name), precision=False)
+    block = degenerate("approx-below-ground-noprec")
+    if principal_distance is not None:
+        elements = block.interior.elements.at[0, 0].set(principal_distance)
+        block = eqx.tree_at(lambda b: b.interior.elements, block, elements)
+    found = adjust(block, precision=False)
     assert found.status is not Status.CONVERGED and not found.trustworthy
     assert not found.undetermined
 
@@ -72,19 +76,6 @@ def test_control_on_a_line_is_refused_whatever_the_approximate_values(degenerate
         BlockError, match="the rotation about an axis parallel to .*; these lie on one line, the axis: p"
     ):
         adjust(degenerate(name))
-
-
-def test_values_whose_weights_overflow_are_named():
-    block = simulate(1, 2, points_per_image=30).block
-    for sigma in (1e-150, 1e160):
-        wrong = eqx.tree_at(lambda b: b.rays.sigmas, block, block.rays.sigmas.at[3, 0].set(sigma))
-        with pytest.raises(BlockError, match="rays, row 3: a sigma lies beyond 1e-50 to 1e\\+50"):
-            adjust(wrong)
-    wild = eqx.tree_at(
-        lambda b: b.exterior.projection_centre, block, block.exterior.projection_centre.at[1, 0].set(1e300)
-    )
-    with pytest.raises(BlockError, match="image .* not a finite number, or beyond"):
-        adjust(wild)
 
 
 def controlled(off: float, sigma: float = 0.02) -> Block:

@@ -342,7 +342,8 @@ def _datum(s: Structure) -> Iterator[Problem]:
         given = repr(kind) if isinstance(kind, str) else _type(kind)
         yield Problem(f"the kind of datum is {given}", f"take one of {', '.join(DATUMS)}", "datum")
         return
-    if not isinstance(s.datum.constraints, int) or not isinstance(points, tuple) or not isinstance(held, tuple):
+    tuples = points, held, s.datum.carriers
+    if not isinstance(s.datum.constraints, int) or not all(isinstance(part, tuple) for part in tuples):
         yield Problem("the datum has parts of a wrong type", "give tuples of names, and an integer", "datum")
         return
     if not all(isinstance(pair, tuple) and len(pair) == 2 for pair in held):

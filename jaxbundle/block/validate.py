@@ -1,7 +1,7 @@
 """What must hold of a block before it is adjusted; all that does not is told at once."""
 
 import numpy as np
-from jaxtyping import Bool, Float, Int
+from jaxtyping import Bool, Int
 
 from jaxbundle.block.block import Block
 from jaxbundle.block.consistency import inconsistencies, unusable_numbers
@@ -11,8 +11,6 @@ from jaxbundle.block.first_residuals import unusable_models
 from jaxbundle.block.given import require_a
 from jaxbundle.block.magnitudes import absurd_numbers
 from jaxbundle.block.problems import BlockError, Problem
-
-LARGEST = 1e50  # of a value or a sigma, and of 1/sigma: the square of a weight is still a number
 
 
 def validate(block: Block) -> list[Problem]:
@@ -52,7 +50,7 @@ def _observed_of(block: Block, touched: str, size: int) -> Int[np.ndarray, " ent
 def _unusable_values(block: Block) -> list[Problem]:
     """Values that are no finite numbers; a weak point has no coordinates for a reason that is told with it."""
     structure = block.structure
-    no_number = f"has a value that is not a finite number, or beyond {LARGEST:g}"
+    no_number = "has a value that is not a finite number"
     orientations = np.c_[block.exterior.projection_centre, block.exterior.angles]
     points = np.where(_is_weak_point(block)[:, None], 0.0, block.object_points)
     cameras = [f"camera {camera.name}" for camera in structure.cameras]
@@ -66,7 +64,7 @@ def _unusable_values(block: Block) -> list[Problem]:
     problems = [
         Problem(f"{who[row] if who else 'the row'} {what}", cure, table, int(row))
         for table, values, who, what, cure in tables
-        for row in np.nonzero(~(np.abs(np.asarray(values)) <= LARGEST).all(1))[0]
+        for row in np.nonzero(~np.isfinite(np.asarray(values)).all(1))[0]
     ]
     return problems + [
         Problem(
@@ -82,19 +80,10 @@ def _unusable_values(block: Block) -> list[Problem]:
 def _unusable_sigmas(block: Block) -> list[Problem]:
     sigmas = [("rays", block.rays.sigmas), *((group.structure.kind.name, group.sigmas) for group in block.groups)]
     return [
-        Problem(what, "give a positive standard deviation", table, int(row))
+        Problem("a sigma is not positive", "give a positive standard deviation", table, int(row))
         for table, values in sigmas
-        for what, bad in (
-            ("a sigma is not positive", ~(np.isfinite(values) & (np.asarray(values) > 0))),
-            (f"a sigma lies beyond {1 / LARGEST:g} to {LARGEST:g}", _is_extreme(np.asarray(values))),
-        )
-        for row in np.nonzero(bad.any(1))[0]
+        for row in np.nonzero(~(np.isfinite(values) & (np.asarray(values) > 0)).all(1))[0]
     ]
-
-
-def _is_extreme(sigmas: Float[np.ndarray, "row component"]) -> Bool[np.ndarray, "row component"]:
-    """Positive sigmas whose weights, or squares of weights, are no numbers."""
-    return np.isfinite(sigmas) & (sigmas > 0) & ((sigmas < 1 / LARGEST) | (sigmas > LARGEST))
 
 
 def _weak_images(block: Block) -> list[Problem]:

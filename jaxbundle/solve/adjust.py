@@ -106,7 +106,7 @@ def adjust(
     wanted = _Wanted(method, stop or AngleRule(), max_iterations, engine, reduced, devices, derivatives, progress)
     if robust is None:
         found = _least_squares(block, wanted, precision, checkpoint)
-        return with_verdict(found) if values.concrete else found
+        return with_verdict(found) if block.concrete else found
     if checkpoint is not None:
         raise ValueError("a robust adjustment solves many times and keeps no checkpoint")
     solve = Solve(
