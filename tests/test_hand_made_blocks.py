@@ -228,6 +228,7 @@ def test_anything_else_in_place_of_a_part(block, part):
     assert {name for name, _ in accepted} <= {
         *free,
         "in_object_system",
+        "carriers",
         "covariances",
         "constraints",
         "image_names",
