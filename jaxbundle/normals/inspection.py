@@ -124,6 +124,7 @@ def inspected(
         own = jnp.where(free, diagonal, 1.0)
         pivots = jnp.minimum(pivots, jnp.where(free, 1 / jnp.where(free, inverse_pivot**2 * own, 1.0), 1.0))
         steepness = jnp.maximum(steepness, jnp.max(jnp.where(free, gradient**2 / own, 0.0), initial=0.0))
+    steepness = lax.stop_gradient(steepness)  # a verdict, not a result; the maximum over devices has no derivative
     steepness = lax.pmax(steepness, axis) if axis else steepness
     of_kept = kept_steepness(reduced.system, reduced.gradient, reduced.border_gradient)
     return Inspection(
