@@ -1,4 +1,4 @@
-"""The user's own camera models at the approximate values: a residual or a derivative that is no number is told."""
+"""The residuals of a camera model of the user at the approximate values: those that are not numbers are reported."""
 
 from collections.abc import Callable
 from functools import cache

@@ -1,7 +1,7 @@
 """Numbers that no survey gives: too large or too small for double precision, many full turns, lines of no length.
 
 They are finite, and yet squares of them overflow, differences of them lose every digit, and directions along them are
-not defined. Each table is told once, with its first row and the number of all.
+not defined. Each table is reported once, with its first row and the number of rows.
 """
 
 from collections.abc import Iterator

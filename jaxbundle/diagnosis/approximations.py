@@ -23,7 +23,7 @@ from jaxbundle.block.block import Block
 from jaxbundle.block.findings import Finding, Kind, Severity, Subject
 from jaxbundle.block.wording import counted, named
 
-MOST = 0.5  # share of an image's rays behind that is told
+MOST = 0.5  # share of an image's rays with the point behind it, from which on it is named
 FEW_BEHIND = 0.01  # share of all rays: real blocks have some far or wrong points behind
 ALIKE = 2.0  # times the angles off under the best cause: causes that are named together
 MOST_CAUSES = 2

@@ -1,7 +1,7 @@
 """What a block tells before it is adjusted: plausibility from its numbers alone, the likely cause and the cure.
 
-A cause is told without its consequences: where the rays do not fit their format or the principal distance is absurd,
-orientations and control are not judged by them.
+A cause is reported without its consequences: where the rays do not fit their format, or the principal distance is
+absurd, orientations and control are not judged by them.
 """
 
 import numpy as np

@@ -100,7 +100,7 @@ def is_bal(head: bytes) -> bool:
 
 
 def _measured_again(rays: Float[np.ndarray, "ray 4"], points: int) -> tuple[Finding, ...]:
-    """What is told of points that an image measures more than once: all of their rays are observations."""
+    """The finding that names points measured more than once on an image: all of their rays are observations."""
     pairs = rays[:, 0].astype(np.int64) * points + rays[:, 1].astype(np.int64)
     _, first = np.unique(pairs, return_index=True)
     if len(first) == len(pairs):

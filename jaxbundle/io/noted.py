@@ -17,7 +17,7 @@ class Placed:
     file: str
     line: int
     problem: Problem
-    cause: bool = False  # is told before all others
+    cause: bool = False  # is reported before all others
 
     def __str__(self) -> str:
         file = shown(self.file)

@@ -1,4 +1,4 @@
-"""Points that are measured more than once on an image: what is told of them."""
+"""The finding that names points measured more than once on an image."""
 
 from collections.abc import Sequence
 
