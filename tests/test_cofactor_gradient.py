@@ -11,8 +11,10 @@ from test_elimination import BLOCKS
 
 from jaxbundle.block.block import Block
 from jaxbundle.block.unknowns import attitude_derivatives, unknowns_of
-from jaxbundle.normals.arrange import Arranged, Problem, arrange, arranged_unknowns, problem
 from jaxbundle.normals.cofactors import cofactors
+from jaxbundle.normals.from_block import problem, to_elimination_order
+from jaxbundle.normals.plan.elimination_plan import plan_elimination
+from jaxbundle.normals.problem import OrderedUnknowns, Problem
 from jaxbundle.solve import implicit_precision
 
 CASES = {
@@ -24,15 +26,15 @@ CASES = {
 def gradients(block: Block, monkeypatch) -> list[tuple]:
     """Of all cofactors and leverages, with different weights: by the engine, and by the whole of Q."""
     centres = np.asarray(block.exterior.projection_centre)
-    plan = arrange(block.structure, block.groups, centres, 1)
+    plan = plan_elimination(block.structure, block.groups, centres, 1)
     block = block.moved(-centres.mean(0))
-    given = arranged_unknowns(plan, unknowns_of(block)), problem(plan, block)
+    given = to_elimination_order(plan, unknowns_of(block)), problem(plan, block)
     o, matrix = given[1].observations, given[0].images.rotation
     turns = attitude_derivatives(matrix, o.in_angles, o.system)
     found = jax.eval_shape(cofactors, *given)
     found = jax.tree.map(lambda x: jnp.zeros(x.shape, x.dtype), found)
 
-    def precision(given: tuple[Arranged, Problem]) -> implicit_precision.Precision:
+    def precision(given: tuple[OrderedUnknowns, Problem]) -> implicit_precision.Precision:
         q = implicit_precision.with_derivatives(found, *given, plan, block.structure, False)
         return implicit_precision.Precision(q.images, q.border, q.points, q.leverages)
 

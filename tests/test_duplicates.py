@@ -14,9 +14,9 @@ from test_long_tracks import block_of
 from jaxbundle.block.block import Block, Rays
 from jaxbundle.block.validate import validate
 from jaxbundle.io.bal import read_bal
-from jaxbundle.normals.arrange import arrange
-from jaxbundle.normals.incidence import kept_points
-from jaxbundle.normals.tiles import SLOTS
+from jaxbundle.normals.plan.elimination_plan import plan_elimination
+from jaxbundle.normals.plan.incidence import border_points
+from jaxbundle.normals.plan.tiling import SLOTS
 from jaxbundle.solve.adjust import adjust
 from jaxbundle.solve.adjustment import Status
 from jaxbundle.solve.stopping import parallax_rule
@@ -104,10 +104,10 @@ def test_every_ray_has_a_cell_of_its_own(devices, share, monkeypatch):
     block = block_of(tracks, 100, ())
     block = measured_again(block, np.flatnonzero(np.isin(block.structure.ray_point, [0, 2, 3])))
     s = block.structure
-    kept = kept_points(s, block.groups)
+    kept = border_points(s, block.groups)
     assert kept[0] and kept[2] and not kept[3]
-    plan = arrange(s, block.groups, np.asarray(block.exterior.projection_centre), devices)
-    found = [plan.kept_rays]
+    plan = plan_elimination(s, block.groups, np.asarray(block.exterior.projection_centre), devices)
+    found = [plan.border_rays]
     for part in plan.parts:
         device, chunk, slot, column = np.nonzero(part.tiling.ray >= 0)
         ray = part.rays[part.tiling.ray[device, chunk, slot, column]]

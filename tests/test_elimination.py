@@ -14,8 +14,9 @@ from jaxbundle.block.geodetic import DISTANCES
 from jaxbundle.block.observations import observation_group
 from jaxbundle.block.unknowns import Unknowns, unknowns_of
 from jaxbundle.camera.brown import BROWN, DISTORTION_FREE
-from jaxbundle.normals.arrange import arrange, arranged_unknowns, problem, restored_unknowns
-from jaxbundle.normals.reduced_plan import Method
+from jaxbundle.normals.from_block import problem, to_block_order, to_elimination_order
+from jaxbundle.normals.plan.elimination_plan import plan_elimination
+from jaxbundle.normals.plan.reduced_plan import Method
 from jaxbundle.solve.adjust import adjust
 from jaxbundle.solve.adjustment import Status
 from jaxbundle.solve.levenberg_marquardt import Arguments, BundleSolver, run
@@ -28,17 +29,17 @@ DAMPINGS = (1e-12, 1e-8, 1e-4, 1e-2, 1.0, 1e3, 1e6)
 def block_steps(block: Block, dampings: tuple[float, ...], reduced: Method, devices: int) -> list[Unknowns]:
     """The unknowns after one step of the solver at each damping; the only place that knows how a step is made."""
     centres = np.asarray(block.exterior.projection_centre)
-    arrangement = arrange(block.structure, block.groups, centres, devices, reduced)
+    arrangement = plan_elimination(block.structure, block.groups, centres, devices, reduced)
     block = block.moved(-jnp.mean(block.exterior.projection_centre, 0))
     start, args = (
-        arranged_unknowns(arrangement, unknowns_of(block)),
+        to_elimination_order(arrangement, unknowns_of(block)),
         Arguments(problem(arrangement, block), AngleRule()),
     )
     solver = BundleSolver(FullStep())  # which takes whatever step it is given
     stepped = []
     for damping in dampings:
         state = eqx.tree_at(lambda s: s.search.damping, solver.first(), jnp.array(damping, float))
-        stepped.append(restored_unknowns(arrangement, run(solver, start, args, state, 1, optimised=False)[0]))
+        stepped.append(to_block_order(arrangement, run(solver, start, args, state, 1, optimised=False)[0]))
     return stepped
 
 

@@ -11,8 +11,8 @@ from test_elimination import block_steps, with_private_cameras
 
 from jaxbundle.block.block import Block, CheckPoints, ExteriorOrientation, InteriorOrientation, Rays, Structure
 from jaxbundle.block.observations import CONTROL, STATIONS, observation_group
-from jaxbundle.normals.arrange import arrange
-from jaxbundle.normals.tiles import SLOTS
+from jaxbundle.normals.plan.elimination_plan import plan_elimination
+from jaxbundle.normals.plan.tiling import SLOTS
 from jaxbundle.planning.flight import AerialCamera
 from jaxbundle.planning.simulate import exact_coordinates, simulate
 from jaxbundle.solve.adjust import adjust
@@ -171,17 +171,17 @@ def test_every_ray_has_one_cell(tracks, slots, devices, monkeypatch):
     monkeypatch.setattr("jaxbundle.normals.incidence.BORDER_SHARE", 0.0)
     block = block_of([np.array(track) for track in tracks], 100, ())
     structure = block.structure
-    plan = arrange(structure, block.groups, np.asarray(block.exterior.projection_centre), devices)
+    plan = plan_elimination(structure, block.groups, np.asarray(block.exterior.projection_centre), devices)
     assert [part.tiling.slot_image.shape[2] for part in plan.parts] == slots
-    assert len(plan.kept) == 0
-    assert len(np.unique(plan.order.point)) == len(tracks) and plan.order.point.max() < plan.places
+    assert len(plan.border_points) == 0
+    assert len(np.unique(plan.order.point)) == len(tracks) and plan.order.point.max() < plan.tile_points
     found, total = [], sum(part.tiling.tiles for part in plan.parts)
     for part in plan.parts:
         tiling = part.tiling
         device, chunk, slot, column = np.nonzero(tiling.ray >= 0)
         ray = part.rays[tiling.ray[device, chunk, slot, column]]
         assert np.all(chunk < tiling.chunks[device])
-        place = (device * total + tiling.slot_tile[device, chunk, slot]) * plan.shape.width + column
+        place = (device * total + tiling.slot_tile[device, chunk, slot]) * plan.layout.width + column
         np.testing.assert_array_equal(place, plan.order.point[structure.ray_point[ray]])
         image = tiling.slot_image[device, chunk, slot]
         np.testing.assert_array_equal(image, plan.order.image[structure.ray_image[ray]])

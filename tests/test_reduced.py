@@ -9,8 +9,9 @@ import numpy as np
 import pytest
 
 from jaxbundle.normals import reduced_system as reduced
-from jaxbundle.normals.ordering import elimination_order, image_graph, ranked_pairs
-from jaxbundle.normals.reduced_plan import ReducedPlan, reduced_plan
+from jaxbundle.normals.from_block import reduced_solver
+from jaxbundle.normals.plan.elimination_order import elimination_order, image_graph, ranked_pairs
+from jaxbundle.normals.plan.reduced_plan import ReducedPlan, reduced_plan
 
 IMAGES = 45
 GRAPHS = ("strip", "ring", "star", "islands", "random")
@@ -38,7 +39,7 @@ def graph_of(kind: str, rng: np.random.Generator) -> np.ndarray:
 def problem(plan: ReducedPlan, d: int, border: int, rng: np.random.Generator):
     """A random system that is positive on its free unknowns, and its dense matrix, diagonal, right side and free."""
     size = plan.images * d
-    pool = rng.normal(size=(plan.pool, d, d))
+    pool = rng.normal(size=(plan.blocks, d, d))
     dense = np.zeros((size + border, size + border))
     for k, (i, j) in enumerate(plan.pairs):
         rows, columns = slice(i * d, i * d + d), slice(j * d, j * d + d)
@@ -72,7 +73,7 @@ def problem(plan: ReducedPlan, d: int, border: int, rng: np.random.Generator):
 def check(graph: str, d: int, border: int, method, devices: int, q: int = 4) -> None:
     """Step, cofactors and pivots against dense algebra."""
     rng = np.random.default_rng(3)
-    plan = reduced_plan(graph_of(graph, rng), IMAGES, d, devices, method, q, axis="device")
+    plan = reduced_plan(graph_of(graph, rng), IMAGES, d, devices, method, q=q)
     system, dense, diagonal, right, free = problem(plan, d, border, rng)
     damping, size = 0.03, plan.images * d
     damped = (dense + damping * np.diag(diagonal))[np.ix_(free, free)]
@@ -89,15 +90,15 @@ def check(graph: str, d: int, border: int, method, devices: int, q: int = 4) -> 
         mesh = jax.make_mesh((devices,), ("device",), axis_types=(jax.sharding.AxisType.Auto,))
         everywhere = jax.sharding.PartitionSpec()
         run = jax.shard_map(run, mesh=mesh, in_specs=everywhere, out_specs=everywhere, check_vma=False)
-    step, cofactors, pivots = jax.jit(run)(plan.solver, system)
+    step, cofactors, pivots = jax.jit(run)(reduced_solver(plan), system)
 
     step = np.concatenate([np.ravel(part) for part in step])
     np.testing.assert_allclose(step, x, rtol=0, atol=1e-11 * abs(x).max())
     allowed = 1e-10 * abs(inverse).max()
     images = inverse[:size, :size].reshape(plan.images, d, plan.images, d)
-    expected = np.zeros((plan.pool, d, d))
+    expected = np.zeros((plan.blocks, d, d))
     expected[: len(plan.pairs)] = images[plan.pairs[:, 0], :, plan.pairs[:, 1]]
-    np.testing.assert_allclose(cofactors.pool, expected, rtol=0, atol=allowed)
+    np.testing.assert_allclose(cofactors.pairs, expected, rtol=0, atol=allowed)
     np.testing.assert_allclose(
         np.reshape(cofactors.coupling, (size, border)), inverse[:size, size:], rtol=0, atol=allowed
     )
@@ -123,7 +124,7 @@ def test_two_devices_agree_with_the_dense_matrix():
 
 def test_a_factor_serves_several_right_hand_sides():
     rng = np.random.default_rng(4)
-    plan = reduced_plan(graph_of("strip", rng), IMAGES, 6, 1, "panels", 4)
+    plan = reduced_plan(graph_of("strip", rng), IMAGES, 6, 1, "panels", q=4)
     system, *_ = problem(plan, 6, 5, rng)
     images = jnp.stack([system.right, 2 * system.right], 2)
     border = jnp.stack([system.border_right, 2 * system.border_right], 1)
@@ -132,7 +133,7 @@ def test_a_factor_serves_several_right_hand_sides():
         factor = reduced.factorise(solver, system, jnp.asarray(0.1))
         return reduced.step(solver, factor), reduced.solve(solver, factor, images, border)
 
-    step, several = jax.jit(run)(plan.solver, system)
+    step, several = jax.jit(run)(reduced_solver(plan), system)
     for one, two in zip(step, several, strict=True):
         np.testing.assert_allclose(two, np.stack([one, 2 * one], -1), rtol=1e-10, atol=1e-14)
 
@@ -140,20 +141,20 @@ def test_a_factor_serves_several_right_hand_sides():
 @pytest.mark.parametrize("method", ["dense", "panels"])
 def test_an_undetermined_unknown_has_no_pivot(method):
     rng = np.random.default_rng(5)
-    plan = reduced_plan(graph_of("strip", rng), IMAGES, 6, 1, method, 4)
+    plan = reduced_plan(graph_of("strip", rng), IMAGES, 6, 1, method, q=4)
     system, *_ = problem(plan, 6, 0, rng)
     system = reduced.ReducedSystem(**{**vars(system), "free": jnp.arange(plan.images)[:, None] < jnp.full(6, IMAGES)})
     block = int(np.nonzero((plan.pairs[:, 0] == 20) & (plan.pairs[:, 1] == 20))[0][0])
     touches = jnp.asarray(np.nonzero((plan.pairs[:, 0] == 20) ^ (plan.pairs[:, 1] == 20))[0])
-    imitated = system.pool[block].at[3].set(system.pool[block, 2]).at[:, 3].set(system.pool[block, :, 2])
+    imitated = system.pairs[block].at[3].set(system.pairs[block, 2]).at[:, 3].set(system.pairs[block, :, 2])
     imitated = imitated.at[3, 3].set(imitated[2, 2])
-    pool = system.pool.at[block].set(imitated).at[touches].set(0.0)
-    system = reduced.ReducedSystem(**{**vars(system), "pool": pool})
+    pool = system.pairs.at[block].set(imitated).at[touches].set(0.0)
+    system = reduced.ReducedSystem(**{**vars(system), "pairs": pool})
     factorise = jax.jit(reduced.factorise)
-    pivots = np.asarray(factorise(plan.solver, system, jnp.asarray(0.0)).pivots)
+    pivots = np.asarray(factorise(reduced_solver(plan), system, jnp.asarray(0.0)).pivots)
     assert not pivots[20, 3] > 1e-12
     assert np.all(pivots[:20] > 0.01)
-    assert np.nanmin(np.asarray(factorise(plan.solver, system, jnp.asarray(1e-3)).pivots)) > 1e-4
+    assert np.nanmin(np.asarray(factorise(reduced_solver(plan), system, jnp.asarray(1e-3)).pivots)) > 1e-4
 
 
 @pytest.mark.parametrize("method", ["dense", "panels"])
@@ -169,17 +170,19 @@ def test_blocks_of_similar_size_share_a_program(method):
     i, j = np.mgrid[:IMAGES, :IMAGES]
     pairs = np.argwhere((i >= j) & (i - j < 6))
     for images in (IMAGES, IMAGES - 1):
-        plan = reduced_plan(pairs[(pairs < images).all(1)], images, 6, 1, method, 4)
-        factorise(plan.solver, problem(plan, 6, 5, rng)[0], jnp.asarray(0.1))
+        plan = reduced_plan(pairs[(pairs < images).all(1)], images, 6, 1, method, q=4)
+        factorise(reduced_solver(plan), problem(plan, 6, 5, rng)[0], jnp.asarray(0.1))
     assert len(traced) == 1
 
 
 def test_what_lies_in_the_waste_bin_does_not_matter():
     rng = np.random.default_rng(9)
-    plan = reduced_plan(graph_of("ring", rng), IMAGES, 6, 1, "panels", 4)
+    plan = reduced_plan(graph_of("ring", rng), IMAGES, 6, 1, "panels", q=4)
     system, *_ = problem(plan, 6, 0, rng)
-    spoilt = reduced.ReducedSystem(**{**vars(system), "pool": system.pool.at[-1].set(jnp.nan)})
-    run = jax.jit(lambda s: reduced.step(plan.solver, reduced.factorise(plan.solver, s, jnp.asarray(0.1)))[0])
+    spoilt = reduced.ReducedSystem(**{**vars(system), "pairs": system.pairs.at[-1].set(jnp.nan)})
+    run = jax.jit(
+        lambda s: reduced.step(reduced_solver(plan), reduced.factorise(reduced_solver(plan), s, jnp.asarray(0.1)))[0]
+    )
     np.testing.assert_array_equal(run(system), run(spoilt))
 
 

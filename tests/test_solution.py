@@ -12,11 +12,12 @@ from test_elimination import BLOCKS, with_distances
 
 from jaxbundle.block.block import Block
 from jaxbundle.block.unknowns import unknowns_of
-from jaxbundle.normals.arrange import arrange, arranged_unknowns, problem
-from jaxbundle.normals.reduced_plan import Method
-from jaxbundle.normals.residuals import weighted_residuals
-from jaxbundle.normals.solution import solve_normals
-from jaxbundle.normals.vector import NormalVector, arranged_vectors
+from jaxbundle.normals.cost import weighted_residuals
+from jaxbundle.normals.from_block import ordered_vectors, problem, to_elimination_order
+from jaxbundle.normals.plan.elimination_plan import plan_elimination
+from jaxbundle.normals.plan.reduced_plan import Method
+from jaxbundle.normals.problem import NormalVector
+from jaxbundle.normals.solve_normals import solve_normals
 from jaxbundle.numerics.compilation import QUICKLY
 from jaxbundle.numerics.host import on_device
 from jaxbundle.solve.adjust import adjust
@@ -30,13 +31,13 @@ def assert_solved(block: Block, devices: int, reduced: Method = "auto") -> None:
     result = adjust(block)
     block, sd, structure = result.block, result.standard_deviations, block.structure
     centres = np.asarray(block.exterior.projection_centre)
-    plan = arrange(structure, block.groups, centres, devices, reduced)
+    plan = plan_elimination(structure, block.groups, centres, devices, reduced)
     block = block.moved(-centres.mean(0))
-    x, p = arranged_unknowns(plan, unknowns_of(block)), problem(plan, block)
+    x, p = to_elimination_order(plan, unknowns_of(block)), problem(plan, block)
     interior = np.asarray(sd.interior)[None, :, list(structure.interior_columns)]
     exterior = np.hstack([sd.projection_centre, sd.angles])[None]
     parameters, points = np.asarray(sd.parameters)[None], np.asarray(sd.object_points)[None]
-    scale = NormalVector(*map(on_device, arranged_vectors(plan, structure, exterior, interior, parameters, points)))
+    scale = NormalVector(*map(on_device, ordered_vectors(plan, structure, exterior, interior, parameters, points)))
     rng = np.random.default_rng(1)
     expected = jax.tree.map(lambda s: jnp.asarray(rng.standard_normal(s.shape[1:])) * s[0], scale)
 

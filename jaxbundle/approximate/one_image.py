@@ -25,7 +25,7 @@ from jaxtyping import Array, Float, Int
 
 from jaxbundle.approximate.six_unknowns import UNKNOWNS, backward, cholesky, forward, place
 from jaxbundle.camera.collinearity import Vector, photo_vector
-from jaxbundle.camera.model import CameraModel, ImagePoint
+from jaxbundle.camera.model import CameraModel, Residual
 from jaxbundle.geometry import rotation
 from jaxbundle.geometry.rotation import Rotation, Scalar
 from jaxbundle.numerics.stored import stored
@@ -96,7 +96,7 @@ def corrected(at: Orientation, d: list[Scalar]) -> Orientation:
     return Orientation(turned, (at.centre[0] + x, at.centre[1] + y, at.centre[2] + z))
 
 
-def residuals(model: CameraModel, at: Orientation, m: Measured) -> ImagePoint:
+def residuals(model: CameraModel, at: Orientation, m: Measured) -> Residual:
     """Residuals of all points, unit of the rays."""
     x, y, z = m.points
     p = photo_vector(at.rotation, at.centre, (x, y, z))
@@ -109,7 +109,7 @@ def equations(model: CameraModel, at: Orientation, m: Measured) -> Equations:
     p = stored(photo_vector(at.rotation, at.centre, (x, y, z)), m.zero)
     interior, measured = _on_points(m.interior, p[0]), (m.coordinates[0], m.coordinates[1])
 
-    def residual(x: Scalar, y: Scalar, z: Scalar, a: Scalar, b: Scalar, c: Scalar) -> ImagePoint:
+    def residual(x: Scalar, y: Scalar, z: Scalar, a: Scalar, b: Scalar, c: Scalar) -> Residual:
         turned = (1.0, -c, b, c, 1.0, -a, -b, a, 1.0)
         return model.residual(interior, photo_vector(turned, (x, y, z), p), measured)
 

@@ -166,10 +166,11 @@ class InteriorOrientation(eqx.Module):
 
 
 class Rays(eqx.Module):
-    """Measured image coordinates and their standard deviations, unit of the camera's rays."""
+    """What is measured of each ray, image coordinates of photographs, and the standard deviations of its residuals."""
 
-    coordinates: Float[Array, "ray 2"]
-    sigmas: Float[Array, "ray 2"]
+    coordinates: Float[Array, "ray number"]
+    """In the unit of the camera's rays."""
+    sigmas: Float[Array, "ray component"]
 
 
 class CheckPoints(eqx.Module):
@@ -204,7 +205,9 @@ class Block(eqx.Module):
     @property
     def observations(self) -> int:
         """M: number of observed values."""
-        return 2 * len(self.structure.ray_image) + sum(group.count for group in self.groups)
+        return self.structure.model.components * len(self.structure.ray_image) + sum(
+            group.count for group in self.groups
+        )
 
     @property
     def redundancy(self) -> int:

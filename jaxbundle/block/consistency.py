@@ -201,8 +201,12 @@ def _columns(mask: Any) -> int:
 
 def _models(s: Structure) -> Iterator[Problem]:
     """The cameras' models, each once."""
-    wrong = {id(camera.model): _model_problem(camera) for camera in s.cameras}
-    yield from (problem for problem in wrong.values() if problem)
+    wrong = [p for p in {id(c.model): _model_problem(c) for c in s.cameras}.values() if p]
+    sensors = {} if wrong else {(c.model.numbers, c.model.components): c.name for c in s.cameras}
+    if len(sensors) > 1:
+        what = f"cameras {' and '.join(sensors.values())} measure different numbers of coordinates of a ray"
+        wrong = [Problem(what, "adjust photographs and independent models as blocks of their own", "cameras")]
+    yield from wrong
 
 
 def _model_problem(camera: Camera) -> Problem | None:
@@ -227,14 +231,14 @@ def _values(block: Block) -> Iterator[Problem]:
     """The arrays of values, against the counts of the structure."""
     s, n = block.structure, _counts(block.structure)
     rays, check = len(np.atleast_1d(s.ray_image)), len(np.atleast_1d(s.check_point))
-    width = _columns(s.interior_free)
+    width, sensor = _columns(s.interior_free), s.cameras[0].model
     for what, path, shape, axes in (
         ("exterior.projection_centre", ("exterior", "projection_centre"), (n["image"], 3), "one row for each image"),
         ("exterior.angles", ("exterior", "angles"), (n["image"], 3), "one row for each image"),
         ("interior.elements", ("interior", "elements"), (n["camera"], width), "one row for each camera"),
         ("object_points", ("object_points",), (n["point"], 3), "one row for each point"),
-        ("rays.coordinates", ("rays", "coordinates"), (rays, 2), "one row for each ray"),
-        ("rays.sigmas", ("rays", "sigmas"), (rays, 2), "one row for each ray"),
+        ("rays.coordinates", ("rays", "coordinates"), (rays, sensor.numbers), "one row for each ray"),
+        ("rays.sigmas", ("rays", "sigmas"), (rays, sensor.components), "one row for each ray"),
         ("check_points.coordinates", ("check_points", "coordinates"), (check, 3), "one row for each check point"),
         ("check_points.sigmas", ("check_points", "sigmas"), (check, 3), "one row for each check point"),
         ("parameters", ("parameters",), (n["parameter"],), "one number for each parameter"),

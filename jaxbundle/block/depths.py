@@ -27,5 +27,7 @@ def depths(block: Block) -> Float[np.ndarray, " ray"]:
 
 
 def behind(block: Block) -> Bool[np.ndarray, " ray"]:
-    """Rays whose point does not lie in front of the camera."""
+    """Rays whose point does not lie in front of the camera; none where the sensors are not photographs."""
+    if not block.structure.model.photographs:
+        return np.zeros(len(block.structure.ray_image), bool)
     return ~(depths(block) > 0)

@@ -40,7 +40,7 @@ def unusable_models(block: Block) -> list[Problem]:
         measured = np.asarray(block.rays.coordinates)[rays].T
         numbers = np.concatenate([np.broadcast_to(elements[:, None], (len(elements), len(rays))), vector, measured])
         residuals, derivatives = (np.asarray(x) for x in _linearised(model, numbers))
-        in_front = np.isfinite(numbers).all(0) & (numbers[-3] != 0)
+        in_front = np.isfinite(numbers).all(0) & (numbers[len(elements) + 2] != 0)
         for what, values in (("residual", residuals), ("derivative of the residual", derivatives)):
             wrong = np.flatnonzero(in_front & ~np.isfinite(values).all(tuple(range(values.ndim - 1))))
             if len(wrong):
@@ -51,7 +51,7 @@ def unusable_models(block: Block) -> list[Problem]:
 
 def _linearised(
     model: CameraModel, numbers: Float[np.ndarray, "number ray"]
-) -> tuple[Float[Array, "2 ray"], Float[Array, "2 number ray"]]:
+) -> tuple[Float[Array, "component ray"], Float[Array, "component number ray"]]:
     """Residuals and their derivatives with respect to interior, photo vector and measured coordinates."""
     padded = np.resize(numbers.T, (TRIED, len(numbers))).T  # one shape for all cameras of a model
     return jax.tree.map(lambda x: x[..., : numbers.shape[1]], _program(model)(padded))
@@ -62,8 +62,8 @@ def _program(model: CameraModel) -> Callable[[Any], Any]:
     """Residual and derivatives of a model for many rays, compiled once for each model."""
     n = len(model.elements)
 
-    def residual(x: Float[Array, " number"]) -> Float[Array, "2"]:
-        return jnp.stack(model.residual(tuple(x[:n]), (x[n], x[n + 1], x[n + 2]), (x[n + 3], x[n + 4])))
+    def residual(x: Float[Array, " number"]) -> Float[Array, " component"]:
+        return jnp.stack(model.residual(tuple(x[:n]), (x[n], x[n + 1], x[n + 2]), tuple(x[n + 3 :])))
 
     both = jax.vmap(lambda x: (residual(x), jax.jacfwd(residual)(x)), 1, -1)
     return jax.jit(both, compiler_options=QUICKLY)

@@ -40,8 +40,8 @@ class Observations(eqx.Module):
     image_camera: Int[Array, " image"]
     ray_image: Int[Array, " ray"]
     ray_point: Int[Array, " ray"]
-    coordinates: Float[Array, "2 ray"]
-    weights: Float[Array, "2 ray"]
+    coordinates: Float[Array, "number ray"]
+    weights: Float[Array, "component ray"]
     groups: tuple[Group, ...]
     exterior_free: Bool[Array, "6 image"]
     interior_free: Bool[Array, "column camera"]
@@ -111,8 +111,8 @@ def weighted(residuals: Float[Array, "component member"], group: Group) -> Float
     return jnp.sum(group.weights * residuals, 1)
 
 
-def ray_residuals(unknowns: Unknowns, observations: Observations) -> Float[Array, "2 ray"]:
-    """Residuals of the image coordinates, unit of the rays, y up."""
+def ray_residuals(unknowns: Unknowns, observations: Observations) -> Float[Array, "component ray"]:
+    """Residuals of the rays; those of image coordinates in the unit of the rays, y up."""
     image, point = observations.ray_image, observations.ray_point
     vector = photo_vector(
         tuple(unknowns.rotation[:, image]), tuple(unknowns.centre[:, image]), tuple(unknowns.points[:, point])

@@ -90,7 +90,7 @@ def _weak_images(block: Block) -> list[Problem]:
     structure = block.structure
     first = structure.ray_repeat == 0  # a point that is measured again on an image tells the image nothing new
     rays = np.bincount(structure.ray_image[first], minlength=len(structure.image_names))
-    known = 2 * rays + _observed_of(block, "image", len(rays))
+    known = structure.model.components * rays + _observed_of(block, "image", len(rays))
     return [
         Problem(
             f"image {structure.image_names[i]} has {rays[i]} {'ray' if rays[i] == 1 else 'rays'}, "
@@ -109,7 +109,7 @@ def _is_weak_point(block: Block) -> Bool[np.ndarray, " point"]:
     structure = block.structure
     first = structure.ray_repeat == 0
     rays = np.bincount(structure.ray_point[first], minlength=len(structure.point_names))
-    return 2 * rays + _observed_of(block, "point", len(rays)) < structure.point_free.sum(1)
+    return structure.model.components * rays + _observed_of(block, "point", len(rays)) < structure.point_free.sum(1)
 
 
 def _weak_points(block: Block) -> list[Problem]:

@@ -24,7 +24,7 @@ import math
 from functools import cache
 
 from jaxbundle.camera.collinearity import Vector
-from jaxbundle.camera.model import CORRECTIONS, CameraModel, ImagePoint
+from jaxbundle.camera.model import CORRECTIONS, CameraModel, Measured, Residual
 from jaxbundle.geometry.rotation import Scalar
 
 EARTH_RADIUS = 6_371_000.0  # m, mean radius (2 a + b) / 3 of the ellipsoid of IUGG, to the km
@@ -35,14 +35,15 @@ ATMOSPHERE = 100_000.0  # m: above there is none to speak of; a flying height be
 def with_corrections(model: CameraModel) -> CameraModel:
     """The model with two further interior elements, always held: `refraction` K (rad) and `earth_curvature` H / 2R."""
 
-    def residual(interior: tuple[Scalar, ...], photo_vector: Vector, measured: ImagePoint) -> ImagePoint:
+    def residual(interior: tuple[Scalar, ...], photo_vector: Vector, measured: Measured) -> Residual:
         *own, refraction, earth_curvature = interior
         px, py, pz = photo_vector
         t2 = (px * px + py * py) / (pz * pz)
         scale = 1 + refraction * (1 + t2) - earth_curvature * t2
         return model.residual(tuple(own), (scale * px, scale * py, pz), measured)
 
-    return CameraModel(f"{model.name} with corrections", (*model.elements, *CORRECTIONS), residual)
+    elements = (*model.elements, *CORRECTIONS)
+    return CameraModel(f"{model.name} with corrections", elements, residual, model.components, model.numbers)
 
 
 def refraction_coefficient(flying_height: float, ground_height: float) -> float:

@@ -4,7 +4,7 @@ import jax
 import jax.numpy as jnp
 from jaxtyping import Array, Float
 
-from jaxbundle.camera.model import CameraModel, ImagePoint
+from jaxbundle.camera.model import CameraModel, Residual
 from jaxbundle.geometry.rotation import Scalar
 
 NEWTON_STEPS = 10  # a correction of the measurement needs one, a strong distortion of the projection about six
@@ -20,7 +20,7 @@ def direction(
     """
     one, zero = jnp.ones_like(measured[0]), jnp.zeros_like(measured[0])
 
-    def residual(a: Array, b: Array) -> ImagePoint:
+    def residual(a: Array, b: Array) -> Residual:
         return model.residual(interior, (a, b, -one), measured)
 
     def step(state: tuple[Array, Array, Array, Array]) -> tuple[Array, Array, Array, Array]:

@@ -18,7 +18,7 @@ from jaxbundle.cli.progress import COMPILING, ProgressLines
 from jaxbundle.cli.runtime import finished
 from jaxbundle.diagnosis.adjusted import findings
 from jaxbundle.io import read
-from jaxbundle.normals.reduced_plan import Method
+from jaxbundle.normals.plan.reduced_plan import Method
 from jaxbundle.numerics.devices import is_first_process
 from jaxbundle.report.columns import wrapped
 from jaxbundle.report.files import require_place, rescue, write_report

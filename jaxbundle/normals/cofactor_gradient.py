@@ -1,4 +1,4 @@
-"""Transposed derivative of cofactors and leverages by unknowns and observations.
+"""Transposed derivative of cofactors and leverages with respect to unknowns and observations.
 
 For a symmetric W in the blocks that are computed and weights k of the leverages, with the rows a of A,
 
@@ -12,28 +12,23 @@ Q' a is a forward derivative, along t, of what gives the leverages: Q is never f
 """
 
 import dataclasses
-from functools import partial
 from typing import Any, NamedTuple
 
 import equinox as eqx
 import jax
 import jax.numpy as jnp
-from jax.sharding import PartitionSpec
 from jaxtyping import Array, Float
 
 from jaxbundle.block.unknowns import Unknowns, attitude_derivatives
-from jaxbundle.normals.arrange import Arranged, Problem
-from jaxbundle.normals.cell_gradient import OfTiles, gradient_of_tiles
-from jaxbundle.normals.eliminate import PAIRS, image_table
-from jaxbundle.normals.kept import Touched, kept_ray_rows, touched_by_group
-from jaxbundle.normals.leverage import KeptCofactors, point_products, touched_products
-from jaxbundle.normals.partition import EVERYWHERE, OF_TILES
-from jaxbundle.normals.rows import group_rows
-from jaxbundle.normals.step import Linearised, linearise, partition
-from jaxbundle.numerics.devices import AXIS, device_mesh
+from jaxbundle.normals.cell_gradient import GradientOfTiles, Varied, gradient_of_tiles
+from jaxbundle.normals.chunks import BY_DEVICE, EVERYWHERE, OF_TILES, everywhere, image_table, over_devices
+from jaxbundle.normals.leverage import ReducedCofactors, point_products, touched_products
+from jaxbundle.normals.observation_rows import Touched, border_ray_rows, group_rows, touched_by_group
+from jaxbundle.normals.point_blocks import PAIRS
+from jaxbundle.normals.problem import Linearised, OrderedUnknowns, Problem
+from jaxbundle.normals.step import linearise
 from jaxbundle.numerics.linear_map import directional
 
-OF_ROWS: Any = PartitionSpec(AXIS)
 Rows = list[list[Array]]  # of every group, by every touched entity
 
 
@@ -46,13 +41,15 @@ class CofactorWeights(NamedTuple):
     leverages: list[Array]
 
 
-def cofactor_gradient(unknowns: Arranged, p: Problem, w: CofactorWeights) -> tuple[Arranged, Problem]:
-    """Gradient of phi by the unknowns and by all numbers of the observations; None in place of what is no number."""
-    cells, others = w.leverages[: 2 * len(p.tiles)], w.leverages[2 * len(p.tiles) :]
-    moved = _moved(p, cells, others)
-    linear = _with_weights(*directional(lambda p: linearise(unknowns, p), (p,), (moved,)), w, unknowns)
-    found = _of_tiles(unknowns, linear, p, [t.weights for t in moved.tiles], cells)
-    directions = _directions(unknowns, p, moved, found, others)
+def cofactor_gradient(unknowns: OrderedUnknowns, p: Problem, w: CofactorWeights) -> tuple[OrderedUnknowns, Problem]:
+    """Gradient of phi by the unknowns and by all numbers of the observations; None in place of what is not a number."""
+    count = p.observations.model.components * len(p.tiles)
+    cells, others = w.leverages[:count], w.leverages[count:]
+    problem_along = _problem_along(p, cells, others)
+    linear, along = directional(lambda p: linearise(unknowns, p), (p,), (problem_along,))
+    linear, varied = _with_weights(linear, along, w, [t.weights for t in problem_along.tiles])
+    found = _of_tiles(linear, varied, cells)
+    directions = _directions(linear, problem_along, found, others)
     by_unknowns, by_problem = eqx.filter_grad(lambda given: _product(_rows(*given), directions))((unknowns, p))
 
     def table(images: Unknowns) -> Array:
@@ -60,87 +57,77 @@ def cofactor_gradient(unknowns: Arranged, p: Problem, w: CofactorWeights) -> tup
         return image_table(images, attitude_derivatives(images.rotation, o.in_angles, o.system), o)
 
     (by_images,) = jax.vjp(table, unknowns.images)[1](found.table)
-    by_unknowns = jax.tree.map(jnp.add, by_unknowns, Arranged(by_images, found.tiles))
-    tiles = zip(by_problem.tiles, found.measured, found.weights, strict=True)
-    tiles = tuple(dataclasses.replace(t, measured=m, weights=w) for t, m, w in tiles)
-    return by_unknowns, dataclasses.replace(by_problem, tiles=tiles)
+    by_unknowns = jax.tree.map(jnp.add, by_unknowns, OrderedUnknowns(by_images, found.tiles))
+    by_cells = [x for pair in zip(found.measured, found.weights, strict=True) for x in pair]
+    by_problem = eqx.tree_at(lambda p: [x for t in p.tiles for x in (t.measured, t.weights)], by_problem, by_cells)
+    return by_unknowns, by_problem
 
 
-def _moved(p: Problem, cells: list[Array], others: list[Array]) -> Problem:
-    """How the observations move with t: the square roots of the weights by k / 2 of themselves."""
+def _problem_along(p: Problem, cells: list[Array], others: list[Array]) -> Problem:
+    """How the observations change with t: the square roots of the weights by k / 2 of themselves."""
     nothing: Problem = jax.tree.map(lambda x: jnp.zeros_like(x) if eqx.is_inexact_array(x) else None, p)
-    tiles = [0.5 * t.weights * jnp.stack(cells[2 * i : 2 * i + 2], 2) for i, t in enumerate(p.tiles)]
-    o, rays, of_groups = nothing.observations, p.kept_rays.weights, others
-    if rays.shape[1]:
-        rays, of_groups = 0.5 * rays * jnp.stack(others[:2]), others[2:]
-    groups = []
-    for group, none, k in zip(p.observations.groups, o.groups, of_groups, strict=True):
-        weights = 0.5 * group.weights * (k if group.weights.ndim == 2 else k[:, None])
-        groups.append(dataclasses.replace(none, weights=weights))
-    return dataclasses.replace(
-        nothing,
-        observations=dataclasses.replace(o, groups=tuple(groups)),
-        tiles=tuple(dataclasses.replace(t, weights=w) for t, w in zip(nothing.tiles, tiles, strict=True)),
-        kept_rays=dataclasses.replace(nothing.kept_rays, weights=rays),
-    )
+    components = p.observations.model.components
+    of_tiles = [
+        0.5 * t.weights * jnp.stack(cells[components * i : components * (i + 1)], 2) for i, t in enumerate(p.tiles)
+    ]
+    of_rays, of_groups = p.border_rays.weights, others
+    if p.border_rays:
+        of_rays, of_groups = 0.5 * of_rays * jnp.stack(others[:components]), others[components:]
+    groups = [
+        0.5 * group.weights * (k if group.weights.ndim == 2 else k[:, None])
+        for group, k in zip(p.observations.groups, of_groups, strict=True)
+    ]
+
+    def weights(p: Problem) -> list[Array]:
+        return [*(t.weights for t in p.tiles), p.border_rays.weights, *(g.weights for g in p.observations.groups)]
+
+    return eqx.tree_at(weights, nothing, [*of_tiles, of_rays, *groups])
 
 
 def _with_weights(
-    linear: Linearised, moved: Linearised, w: CofactorWeights, unknowns: Arranged
-) -> tuple[Linearised, Linearised]:
-    """The linearised equations, and how they move with t."""
+    linear: Linearised, along: Linearised, w: CofactorWeights, of_tiles: list[Array]
+) -> tuple[Linearised, Varied]:
+    """The linearised equations with a place for W, and how they change with t; `of_tiles`: weights of the tiles."""
     images, border = (0.5 * (m + m.swapaxes(-1, -2)) for m in (w.images, w.border))
-    kept = moved.kept._replace(diagonal=moved.kept.diagonal + images, border=moved.kept.border + border)
-    nothing = jnp.zeros((9, *unknowns.tiles.shape[1:]))
-    here, along = (nothing if x.prior is None else x.prior for x in (linear, moved))
-    along = along.at[:6].add(jnp.stack([0.5 * (w.points[i, j] + w.points[j, i]) for i, j in PAIRS]))
-    return linear._replace(prior=here), moved._replace(kept=kept, prior=along)
+    sums = along.sums._replace(diagonal=along.sums.diagonal + images, border=along.sums.border + border)
+    nothing = jnp.zeros((9, *linear.unknowns.tiles.shape[1:]))
+    here, there = (nothing if x.point_terms is None else x.point_terms for x in (linear, along))
+    there = there.at[:6].add(jnp.stack([0.5 * (w.points[i, j] + w.points[j, i]) for i, j in PAIRS]))
+    return dataclasses.replace(linear, point_terms=here), Varied(sums, there, of_tiles)
 
 
-def _of_tiles(
-    unknowns: Arranged, linear: tuple[Linearised, Linearised], p: Problem, weights: list[Array], cells: list[Array]
-) -> OfTiles:
+def _of_tiles(linear: Linearised, varied: Varied, cells: list[Array]) -> GradientOfTiles:
     """The tiles of all devices."""
-    given = unknowns, linear, p, weights, cells, p.free_tiles
-    if p.devices == 1:
-        return gradient_of_tiles(*given, None)
-    of_unknowns, of_linear, of_problem = partition(unknowns, linear[0], p)
-    parts = of_unknowns, (of_linear, of_linear), of_problem, OF_ROWS, OF_ROWS, OF_TILES
-    out: Any = EVERYWHERE, OF_ROWS, EVERYWHERE, OF_TILES, OF_ROWS, OF_ROWS
-    return jax.shard_map(
-        partial(gradient_of_tiles, axis=AXIS),
-        mesh=device_mesh(p.devices),
-        in_specs=parts,
-        out_specs=OfTiles(*out),
-        check_vma=False,
-    )(*given)
+    out: Any = EVERYWHERE, BY_DEVICE, EVERYWHERE, OF_TILES, BY_DEVICE, BY_DEVICE
+    parts = Varied(everywhere(varied.sums), OF_TILES, BY_DEVICE), BY_DEVICE
+    return over_devices(gradient_of_tiles, linear, GradientOfTiles(*out), (varied, cells), parts)
 
 
-def _touched(unknowns: Arranged, p: Problem) -> list[tuple[list[Touched], Array | None]]:
-    """Rows of everything that is no ray of an eliminated point, and the pool's blocks of its pairs of images."""
+def _touched(unknowns: OrderedUnknowns, p: Problem) -> list[tuple[list[Touched], Array | None]]:
+    """Rows of everything that is not a ray of an eliminated point, and the blocks of its pairs of images."""
     o, images, touched = p.observations, unknowns.images, []
-    turns = attitude_derivatives(images.rotation, o.in_angles, o.system)
-    if p.kept_rays.image.shape[0]:
-        touched.append((kept_ray_rows(p.kept_rays, images, turns, o, p.shape)[0], None))
+    d_rotation = attitude_derivatives(images.rotation, o.in_angles, o.system)
+    if p.border_rays:
+        touched.append((border_ray_rows(images, d_rotation, p)[0], None))
     flat = unknowns.flat() if o.groups else images
     for group, pairs in zip(o.groups, p.group_pairs, strict=True):
-        rows = group_rows(group, flat, turns, o.columns)
-        touched.append((touched_by_group(group, rows, p.shape, p.point_column, p.camera_image), pairs))
+        touched.append((touched_by_group(group, group_rows(group, flat, d_rotation, o.columns).rows, p), pairs))
     return touched
 
 
-def _rows(unknowns: Arranged, p: Problem) -> Rows:
+def _rows(unknowns: OrderedUnknowns, p: Problem) -> Rows:
     """The rows alone; those of eliminated points among them."""
     return [[a.rows for a in touched] for touched, _ in _touched(unknowns, p)]
 
 
-def _directions(unknowns: Arranged, p: Problem, moved: Problem, found: OfTiles, k: list[Array]) -> Rows:
+def _directions(linear: Linearised, problem_along: Problem, found: GradientOfTiles, k: list[Array]) -> Rows:
     """2 y of these rows."""
+    unknowns, p = linear.unknowns, linear.problem
 
-    def products(p: Problem, q: KeptCofactors, points: Float[Array, "tile number"]) -> Rows:
-        n, of_groups = unknowns.tiles.shape[2], []
-        blocks = points.reshape(-1, 3, 3, n).transpose(1, 2, 0, 3).reshape(3, 3, -1)
-        groups = [*([None] if p.kept_rays.image.shape[0] else []), *p.observations.groups]
+    def products(p: Problem, q: ReducedCofactors, points: Float[Array, "tile number"]) -> Rows:
+        of_groups = []
+        blocks = points.reshape(-1, 3, 3, linear.width).transpose(1, 2, 0, 3).reshape(3, 3, -1)
+        groups = [*([None] if p.border_rays else []), *p.observations.groups]
         for (touched, pairs), group in zip(_touched(unknowns, p), groups, strict=True):
             rows = touched_products(touched, q, pairs)
             if group is not None and group.kind.touches == ("point",):
@@ -148,13 +135,14 @@ def _directions(unknowns: Arranged, p: Problem, moved: Problem, found: OfTiles, 
             of_groups.append(rows)
         return of_groups
 
-    (q, q_moved), (points, points_moved) = found.kept, found.points
-    here, along = directional(products, (p, q, points), (moved, q_moved, points_moved))
-    factors = [jnp.stack(k[:2]), *k[2:]] if p.kept_rays.image.shape[0] else k
-    # the rows times the root of 1 + t k have moved by k / 2: the other half comes here
+    (q, q_along), (points, points_along) = found.reduced, found.points
+    here, along = directional(products, (p, q, points), (problem_along, q_along, points_along))
+    components = p.observations.model.components
+    factors = [jnp.stack(k[:components]), *k[components:]] if p.border_rays else k
+    # the rows times the root of 1 + t k have changed by k / 2: the other half comes here
     return [
-        [factor[:, None] * a + 2 * b for a, b in zip(rows, rows_moved, strict=True)]
-        for factor, rows, rows_moved in zip(factors, here, along, strict=True)
+        [factor[:, None] * a + 2 * b for a, b in zip(rows, rows_along, strict=True)]
+        for factor, rows, rows_along in zip(factors, here, along, strict=True)
     ]
 
 

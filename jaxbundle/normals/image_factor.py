@@ -10,10 +10,10 @@ F = TypeVar("F")
 
 
 class AbstractImageFactor(eqx.Module, Generic[F]):
-    """One algorithm. Blocks are those of the pool: d x d, of the pairs i >= j of images in order of elimination."""
+    """One algorithm. Blocks are d x d, of the pairs i >= j of images in the order of elimination."""
 
     @abc.abstractmethod
-    def factorise(self, pool: Float[Array, "pair d d"]) -> F:
+    def factorise(self, pairs: Float[Array, "pair d d"]) -> F:
         """L; images that no block mentions get a unit row. NaN from the first pivot on that is not positive."""
 
     @abc.abstractmethod
@@ -30,7 +30,7 @@ class AbstractImageFactor(eqx.Module, Generic[F]):
 
     @abc.abstractmethod
     def selected_inverse(self, factor: F, d: int) -> Float[Array, "pair d d"]:
-        """Blocks of A^-1 at the places of the pool; 0 where a place of the pool is not used."""
+        """Blocks of A^-1 of the pairs; 0 where a block is not in use."""
 
 
 ImageFactor = AbstractImageFactor[Any]

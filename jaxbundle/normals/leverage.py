@@ -1,37 +1,49 @@
 """Leverages h = diag(A Q A^T P) of all observations: redundancy numbers are r = 1 - h (Baarda 1968).
 
-With weighted rows a of the kept unknowns and b of an eliminated point, V = L L^T, h = L^-1 b^T, G = Q_kk E,
+With weighted rows a of images and border and b of an eliminated point, V = L L^T, h = L^-1 b^T, G = Q_rr E,
 
-    a Q_kk a^T + 2 a Q_kX b^T + b Q_XX b^T  =  a (Q_kk a^T - G h) + h^T (C h - G^T a^T),      C = I + E^T Q_kk E
+    a Q_rr a^T + 2 a Q_rX b^T + b Q_XX b^T  =  a (Q_rr a^T - G h) + h^T (C h - G^T a^T),      C = I + E^T Q_rr E
 
 so a ray needs what its tile has at hand, and Q is never formed. The factors in brackets are Q times the row.
 """
 
+from functools import reduce
+from operator import add
 from typing import Any, NamedTuple
 
 import jax.numpy as jnp
 from jaxtyping import Array, Float
 
-from jaxbundle.block.residuals import Group, Observations
-from jaxbundle.block.unknowns import Unknowns
-from jaxbundle.normals.eliminate import Eliminated, Shape
-from jaxbundle.normals.kept import KeptRays, Touched, kept_ray_rows, touched_by_group
-from jaxbundle.normals.rows import group_rows
+from jaxbundle.block.residuals import Group
+from jaxbundle.normals.eliminate import Eliminated
+from jaxbundle.normals.observation_rows import Touched, border_ray_rows, group_rows, touched_by_group
+from jaxbundle.normals.problem import Linearised, Problem
 
 Rows = list[Array]
 
 
-class KeptCofactors(NamedTuple):
-    """Cofactors of the kept unknowns: of every image, of the pool's pairs of images, with the border, of the border."""
+class ReducedCofactors(NamedTuple):
+    """Cofactors of images and border: of every image, of the pairs that have blocks, with the border, of the border."""
 
     images: Float[Array, "image d d"]
-    pool: Float[Array, "pair d d"]
+    pairs: Float[Array, "pair d d"]
     coupling: Float[Array, "image d border"]
     border: Float[Array, "border border"]
 
 
+class TileCofactors(NamedTuple):
+    """What the cofactors of a chunk's rays are made of."""
+
+    g: Float[Array, "slot d 3 n"]
+    """G of the rows of each slot's image."""
+    border_g: Float[Array, "slot shared 3 n"] | None
+    """G of the rows of each slot's camera in the border."""
+    c: Float[Array, "tile 3 3 n"]
+    """C of the points."""
+
+
 class CellProducts(NamedTuple):
-    """Q of a row of all cells of a chunk: by the unknowns of the image, those of a shared camera, and the point,
+    """Q times a row of all cells of a chunk: by the unknowns of the image, those of a shared camera, and the point,
     C h - G^T a, which L^-T turns to X, Y, Z."""
 
     image: Rows
@@ -39,95 +51,78 @@ class CellProducts(NamedTuple):
     point: Rows
 
 
-def cell_products(
-    e: Eliminated,
-    q: KeptCofactors,
-    g: Float[Array, "slot d 3 n"],
-    border_g: Float[Array, "slot shared 3 n"] | None,
-    c: Float[Array, "tile 3 3 n"],
-    camera: Array,
-    shape: Shape,
-) -> tuple[CellProducts, CellProducts]:
-    """Of the rows of x and of y. `border_g`: G of the rows of the slot's own camera in the border."""
-    slot_image, d, shared = e.chunk.slot_image, shape.image, shape.shared
+def cell_products(e: Eliminated, q: ReducedCofactors, t: TileCofactors, p: Problem) -> list[CellProducts]:
+    """Q times the rows of every component."""
+    layout, slot_image = p.layout, e.chunk.slot_image
+    d, shared = layout.image, layout.shared
     own = jnp.take(q.images, slot_image, axis=0, mode="clip")[..., None]
-    at_slot = jnp.take(c, e.chunk.tile, axis=0, mode="clip")
-    columns = shared * jnp.take(camera, slot_image, mode="clip")[:, None] + jnp.arange(shared)
+    at_slot = e.chunk.at_slots(t.c)
     inner = mixed = jnp.zeros(())
-    if border_g is not None:
-        mixed = q.coupling[slot_image[:, None, None], jnp.arange(d)[:, None], columns[:, None, :]][..., None]
-        inner = q.border[columns[:, :, None], columns[:, None, :]][..., None]
+    if t.border_g is not None:
+        rows = layout.camera_rows(jnp.take(p.observations.image_camera, slot_image, mode="clip"))
+        mixed = q.coupling[slot_image[:, None, None], jnp.arange(d)[:, None], rows[:, None, :]][..., None]
+        inner = q.border[rows[:, :, None], rows[:, None, :]][..., None]
 
     def product(rows: Rows, h: Rows) -> CellProducts:
         a, b = rows[:d], rows[d:]
-        image = [_dot(a, own[:, k].swapaxes(0, 1)) - _dot(h, g[:, k].swapaxes(0, 1)) for k in range(d)]
-        point = [_dot(h, at_slot[:, j].swapaxes(0, 1)) - _dot(a, g[:, :, j].swapaxes(0, 1)) for j in range(3)]
-        if border_g is None:
+        image = [_dot(a, own[:, k].swapaxes(0, 1)) - _dot(h, t.g[:, k].swapaxes(0, 1)) for k in range(d)]
+        point = [_dot(h, at_slot[:, j].swapaxes(0, 1)) - _dot(a, t.g[:, :, j].swapaxes(0, 1)) for j in range(3)]
+        if t.border_g is None:
             return CellProducts(image, [], point)
         image = [x + _dot(b, mixed[:, k].swapaxes(0, 1)) for k, x in enumerate(image)]
-        point = [x - _dot(b, border_g[:, :, j].swapaxes(0, 1)) for j, x in enumerate(point)]
+        point = [x - _dot(b, t.border_g[:, :, j].swapaxes(0, 1)) for j, x in enumerate(point)]
         of_camera = [
             _dot(a, mixed[:, :, k].swapaxes(0, 1))
             + _dot(b, inner[:, k].swapaxes(0, 1))
-            - _dot(h, border_g[:, k].swapaxes(0, 1))
+            - _dot(h, t.border_g[:, k].swapaxes(0, 1))
             for k in range(shared)
         ]
         return CellProducts(image, of_camera, point)
 
-    (ax, ay), (hx, hy) = e.image_rows, e.h
-    return product(ax, list(hx)), product(ay, list(hy))
+    return [product(rows, list(h)) for rows, h in zip(e.image_rows, e.h, strict=True)]
 
 
 def _dot(a: Any, b: Any) -> Any:
-    first, *terms = (x * y for x, y in zip(a, b, strict=True))
-    return sum(terms, first)
+    return reduce(add, (x * y for x, y in zip(a, b, strict=True)))
 
 
-def cell_leverages(e: Eliminated, products: tuple[CellProducts, CellProducts]) -> tuple[Array, Array]:
-    """Of x and of y of all cells of a chunk, (slot, n)."""
-    x, y = (
+def cell_leverages(e: Eliminated, products: list[CellProducts]) -> list[Array]:
+    """Of every component of all cells of a chunk, (slot, n)."""
+    return [
         _dot([*rows, *h], [*q.image, *q.camera, *q.point])
         for rows, h, q in zip(e.image_rows, e.h, products, strict=True)
-    )
-    return x, y
+    ]
 
 
-def kept_ray_leverages(
-    rays: KeptRays, unknowns: Unknowns, turns: Array, o: Observations, shape: Shape, q: KeptCofactors
-) -> list[Array]:
-    """Of x and of y of the rays of kept points."""
-    if rays.image.shape[0] == 0:
+def border_ray_leverages(linear: Linearised, q: ReducedCofactors) -> list[Array]:
+    """Of every component of the rays of border points."""
+    if not linear.problem.border_rays:
         return []
-    touched, _ = kept_ray_rows(rays, unknowns, turns, o, shape)
+    touched, _ = border_ray_rows(linear.unknowns.images, linear.d_rotation, linear.problem)
     return list(_leverages(touched, touched_products(touched, q, None)))
 
 
 def group_leverages(
-    group: Group,
-    pairs: Array | None,
-    unknowns: Unknowns,
-    turns: Array,
-    o: Observations,
-    shape: Shape,
-    point_column: Array,
-    camera_image: Array,
-    q: KeptCofactors,
-    points: Float[Array, "3 3 place"],
-) -> Float[Array, "component member"]:
-    """Of all components of a group; `points`: cofactors of the eliminated points."""
-    rows = group_rows(group, unknowns, turns, o.columns)
-    touched = touched_by_group(group, rows, shape, point_column, camera_image)
-    total = _leverages(touched, touched_products(touched, q, pairs))
-    if group.kind.touches == ("point",):
-        total = total + jnp.einsum("cim,cim->cm", rows.rows[0], point_products(group, rows.rows[0], points))
-    return total
+    linear: Linearised, q: ReducedCofactors, points: Float[Array, "3 3 point"]
+) -> list[Float[Array, "component member"]]:
+    """Of all components of all groups; `points`: cofactors of the eliminated points."""
+    p, o, found = linear.problem, linear.problem.observations, []
+    flat = linear.unknowns.flat() if o.groups else linear.unknowns.images
+    for group, pairs in zip(o.groups, p.group_pairs, strict=True):
+        rows = group_rows(group, flat, linear.d_rotation, o.columns).rows
+        touched = touched_by_group(group, rows, p)
+        total = _leverages(touched, touched_products(touched, q, pairs))
+        if group.kind.touches == ("point",):
+            total = total + jnp.einsum("cim,cim->cm", rows[0], point_products(group, rows[0], points))
+        found.append(total)
+    return found
 
 
-def touched_products(touched: list[Touched], q: KeptCofactors, pairs: Array | None) -> list[Array]:
-    """Q of the rows, by every touched entity."""
+def touched_products(touched: list[Touched], q: ReducedCofactors, pairs: Array | None) -> list[Array]:
+    """Q times the rows, by every touched entity."""
     products = []
     for a in touched:
-        if a.in_border and not q.border.size:  # eliminated points have no place in a border
+        if a.in_border and not q.border.size:  # eliminated points have no row in a border
             products.append(jnp.zeros_like(a.rows))
             continue
         there = [b for b in touched if q.border.size or not b.in_border]
@@ -135,8 +130,8 @@ def touched_products(touched: list[Touched], q: KeptCofactors, pairs: Array | No
     return products
 
 
-def point_products(group: Group, rows: Array, points: Float[Array, "3 3 place"]) -> Float[Array, "component 3 member"]:
-    """Q of the rows of observations of one eliminated point each."""
+def point_products(group: Group, rows: Array, points: Float[Array, "3 3 point"]) -> Float[Array, "component 3 member"]:
+    """Q times the rows of observations of one eliminated point each."""
     own = points.at[:, :, group.indices[0]].get(mode="fill", fill_value=0.0)
     return jnp.einsum("ijm,cjm->cim", own, rows)
 
@@ -146,8 +141,8 @@ def _leverages(touched: list[Touched], products: list[Array]) -> Float[Array, "c
     return sum(terms, jnp.zeros(()))
 
 
-def _between(a: Touched, b: Touched, q: KeptCofactors, pairs: Array | None) -> Float[Array, "member p q"]:
-    """Cofactors of two touched entities of every member; 0 where a column lies outside of the border."""
+def _between(a: Touched, b: Touched, q: ReducedCofactors, pairs: Array | None) -> Float[Array, "member p q"]:
+    """Cofactors of two touched entities of every member; 0 where a row lies beyond the border."""
     if a.in_border and b.in_border:
         return q.border.at[a.at[:, :, None], b.at[:, None, :]].get(mode="fill", fill_value=0.0)
     if a.in_border or b.in_border:
@@ -158,6 +153,6 @@ def _between(a: Touched, b: Touched, q: KeptCofactors, pairs: Array | None) -> F
     own = q.images[a.at]
     if pairs is None:
         return own
-    lower = q.pool[pairs]
+    lower = q.pairs[pairs]
     other = jnp.where((a.at > b.at)[:, None, None], lower, lower.transpose(0, 2, 1))
     return jnp.where((a.at == b.at)[:, None, None], own, other)

@@ -22,9 +22,9 @@ import jax.numpy as jnp
 from jax import lax
 from jaxtyping import Array, Bool, Float, Int
 
+from jaxbundle.normals.cholesky import inverse_factor
 from jaxbundle.normals.image_factor import AbstractImageFactor
-from jaxbundle.normals.inverse_factor import inverse_factor
-from jaxbundle.normals.symbolic import Columns, PanelStructure
+from jaxbundle.normals.plan.panel_lists import PanelColumns, PanelLists
 
 Tiles = Float[Array, "tile b b"]
 Sides = Float[Array, "panel b k"]
@@ -33,8 +33,8 @@ Sides = Float[Array, "panel b k"]
 class _Part(NamedTuple):
     """This device's lists, how many of its panels and tiles belong to its end, and whether the separator is its own."""
 
-    ends: Columns | None
-    separator: Columns
+    ends: PanelColumns | None
+    separator: PanelColumns
     position: Int[Array, " image"]
     pair_place: Int[Array, "pair 3"]
     end_tiles: int
@@ -44,14 +44,14 @@ class _Part(NamedTuple):
 
 
 class PanelCholesky(AbstractImageFactor[Tiles]):
-    """Sparse, on the tiles of `structure`; the factor is this device's tiles. `axis`: of the devices, None for one."""
+    """Sparse, on the tiles of `lists`; the factor is this device's tiles. `axis`: of the devices, None for one."""
 
-    structure: PanelStructure
+    lists: PanelLists
     axis: str | None = eqx.field(static=True)
 
-    def factorise(self, pool: Float[Array, "pair d d"]) -> Tiles:
+    def factorise(self, pairs: Float[Array, "pair d d"]) -> Tiles:
         part = self._part()
-        tiles, empty = _assemble(part, pool), _empty(part, pool.shape[1])
+        tiles, empty = _assemble(part, pairs), _empty(part, pairs.shape[1])
         if part.ends is not None:
             tiles = _factorise(tiles, empty, part.ends, 0, 0)
             tiles = tiles.at[part.end_tiles :].set(self._sum(tiles[part.end_tiles :]))
@@ -96,8 +96,8 @@ class PanelCholesky(AbstractImageFactor[Tiles]):
         return self._sum(blocks) if part.ends is not None else blocks
 
     def _part(self) -> _Part:
-        device = jnp.asarray(0) if self.axis is None or self.structure.ends is None else lax.axis_index(self.axis)
-        s = jax.tree.map(lambda x: x[jnp.minimum(device, x.shape[0] - 1)], self.structure)
+        device = jnp.asarray(0) if self.axis is None or self.lists.ends is None else lax.axis_index(self.axis)
+        s = jax.tree.map(lambda x: x[jnp.minimum(device, x.shape[0] - 1)], self.lists)
         end_panels, end_tiles = (0, 0) if s.ends is None else _sizes(s.ends)
         panels = end_panels + _sizes(s.separator)[0]
         return _Part(s.ends, s.separator, s.position, s.pair_place, end_tiles, end_panels, panels, device == 0)
@@ -112,7 +112,7 @@ class PanelCholesky(AbstractImageFactor[Tiles]):
         return self._sum(x) if part.ends is not None else x
 
 
-def _sizes(columns: Columns) -> tuple[int, int]:
+def _sizes(columns: PanelColumns) -> tuple[int, int]:
     """Padded numbers of panels and of tiles."""
     return columns.first_below.shape[0] - 1, columns.block.shape[0]
 
@@ -136,14 +136,14 @@ def _empty(part: _Part, d: int) -> Float[Array, "panel b"]:
     return jnp.repeat(empty, d).reshape(part.panels, q * d)
 
 
-def _assemble(part: _Part, pool: Float[Array, "pair d d"]) -> Tiles:
-    """The pool's blocks at their places."""
+def _assemble(part: _Part, pairs: Float[Array, "pair d d"]) -> Tiles:
+    """The blocks of the pairs at their positions."""
     block = part.separator.block
     if part.ends is not None:
         block = jnp.concatenate([part.ends.block, block])
     tiles, q, _ = block.shape
-    b = q * pool.shape[1]
-    return jnp.take(pool, block, axis=0, mode="clip").transpose(0, 1, 3, 2, 4).reshape(tiles, b, b)
+    b = q * pairs.shape[1]
+    return jnp.take(pairs, block, axis=0, mode="clip").transpose(0, 1, 3, 2, 4).reshape(tiles, b, b)
 
 
 def _at(x: Array, i: Array) -> Array:
@@ -160,7 +160,7 @@ def _transposed(x: Array) -> Array:
 
 
 def _factorise(
-    tiles: Tiles, empty: Float[Array, "panel b"], columns: Columns, first_tile: int, first_panel: int
+    tiles: Tiles, empty: Float[Array, "panel b"], columns: PanelColumns, first_tile: int, first_panel: int
 ) -> Tiles:
     def column(j: Array, tiles: Array) -> Array:
         lower = jnp.tril(_at(tiles, first_tile + j))
@@ -181,7 +181,7 @@ def _factorise(
     return lax.fori_loop(0, columns.count, column, tiles)
 
 
-def _forward(tiles: Tiles, y: Sides, columns: Columns, first_tile: int, first_panel: int) -> Sides:
+def _forward(tiles: Tiles, y: Sides, columns: PanelColumns, first_tile: int, first_panel: int) -> Sides:
     def column(j: Array, y: Array) -> Array:
         own = _at(tiles, first_tile + j) @ _at(y, first_panel + j)
 
@@ -195,7 +195,7 @@ def _forward(tiles: Tiles, y: Sides, columns: Columns, first_tile: int, first_pa
     return lax.fori_loop(0, columns.count, column, y)
 
 
-def _backward(tiles: Tiles, y: Sides, columns: Columns, first_tile: int, first_panel: int) -> Sides:
+def _backward(tiles: Tiles, y: Sides, columns: PanelColumns, first_tile: int, first_panel: int) -> Sides:
     def column(step: Array, y: Array) -> Array:
         j = columns.count - 1 - step
 
@@ -210,7 +210,7 @@ def _backward(tiles: Tiles, y: Sides, columns: Columns, first_tile: int, first_p
     return lax.fori_loop(0, columns.count, column, y)
 
 
-def _unit_factor(tiles: Tiles, columns: Columns, first_tile: int) -> Tiles:
+def _unit_factor(tiles: Tiles, columns: PanelColumns, first_tile: int) -> Tiles:
     """K in place of L below the diagonal of the columns given."""
 
     def column(j: Array, k: Array) -> Array:
@@ -225,7 +225,7 @@ def _unit_factor(tiles: Tiles, columns: Columns, first_tile: int) -> Tiles:
     return lax.fori_loop(0, columns.count, column, tiles)
 
 
-def _selected_inverse(k: Tiles, z: Tiles, columns: Columns, first_tile: int) -> Tiles:
+def _selected_inverse(k: Tiles, z: Tiles, columns: PanelColumns, first_tile: int) -> Tiles:
     """Z in the columns given, 0 there before. `k`: K below the diagonal, C_J on it.
 
     A turn of a loop changes one tile of one array; XLA copies whole arrays where it changes more.

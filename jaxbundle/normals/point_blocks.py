@@ -1,18 +1,20 @@
 """The 3 x 3 normal matrix of an object point, written out: V = L L^T.
 
 All quantities are scalars, which may be arrays of any one shape. The inverse of a pivot is kept instead of the pivot;
-where it is 0 the coordinate is held: its correction is 0 and it touches nothing.
+where it is 0 the coordinate is fixed: its correction is 0 and it touches nothing.
 """
 
 from typing import NamedTuple
 
 import jax.numpy as jnp
 from jax import lax
-from jaxtyping import Array, Bool
+from jaxtyping import Array, Bool, Float
 
 from jaxbundle.camera.collinearity import Vector
 from jaxbundle.geometry.rotation import Scalar
 
+PAIRS = ((0, 0), (0, 1), (0, 2), (1, 1), (1, 2), (2, 2))  # elements of V as they are stored
+STORED = 12  # numbers of a point: factor (6), gradient (3), diagonal of V (3)
 Truth = Bool[Array, "..."]
 Symmetric = tuple[Scalar, Scalar, Scalar, Scalar, Scalar, Scalar]  # 00, 01, 02, 11, 12, 22
 
@@ -26,6 +28,20 @@ class PointFactor(NamedTuple):
     l10: Scalar
     l20: Scalar
     l21: Scalar
+
+
+class PointEquations(NamedTuple):
+    """What is stored of the equations of the points: factor of V, gradient and diagonal of V before damping."""
+
+    factor: PointFactor
+    gradient: list[Array]
+    diagonal: list[Array]
+
+
+def point_equations(stored: Float[Array, "tile number"], n: int) -> PointEquations:
+    """The equations of `n` points per tile from the rows that are stored of them."""
+    number = [stored[:, k * n : (k + 1) * n] for k in range(STORED)]
+    return PointEquations(PointFactor(*number[:6]), number[6:9], number[9:])
 
 
 def factorise(v: Symmetric, free: tuple[Truth, Truth, Truth]) -> PointFactor:

@@ -1,9 +1,9 @@
 """The reduced normal equations of the images and the border: scaling, damping, solution, cofactors.
 
-The border are the unknowns that many images share. With s = 1 / sqrt(diagonal of N), 0 for a held unknown,
+The border are the unknowns that many images share. With s = 1 / sqrt(diagonal of N), 0 for a fixed unknown,
 
     [ A    B ] [x_I]   [r_I]      A = s_I S_II s_I + lambda,  B = s_I S_Ib s_b,  D = s_b S_bb s_b + lambda,
-    [ B^T  D ] [x_b] = [r_b]      r = s right;  lambda is 1 for a held unknown;  step = s x.
+    [ B^T  D ] [x_b] = [r_b]      r = s right;  lambda is 1 for a fixed unknown;  step = s x.
 
     A = L L^T,   Y = L^-1 B,   y = L^-1 r_I,   D - Y^T Y = M M^T
     x_b = M^-T M^-1 (r_b - Y^T y),             x_I = L^-T (y - Y x_b)
@@ -11,7 +11,7 @@ The border are the unknowns that many images share. With s = 1 / sqrt(diagonal o
 Because N has the unit diagonal after scaling, a squared pivot is the share of an unknown's own normal equation that no
 unknown before it can imitate: 0 for an undetermined one, NaN from there on where rounding makes it negative.
 
-Cofactors, X = L^-T Y, Z = A^-1 where the pool has blocks, each scaled by s on both sides:
+Cofactors, X = L^-T Y, Z = A^-1 where there are blocks, each scaled by s on both sides:
 
     Q_bb = M^-T M^-1,    Q_Ib = -X Q_bb,    Q_II = Z + X Q_bb X^T
 """
@@ -22,32 +22,25 @@ import equinox as eqx
 import jax.numpy as jnp
 from jaxtyping import Array, Bool, Float, Int
 
-from jaxbundle.normals.image_factor import ImageFactor
-from jaxbundle.normals.inverse_factor import inverse_factor
+from jaxbundle.normals.cholesky import inverse_factor
+from jaxbundle.normals.problem import ReducedSolver
 
 
 class ReducedSystem(eqx.Module):
-    """The reduced normal equations, not damped. `pool`: blocks of the pairs i >= j of images, the last one ignored.
+    """The reduced normal equations without damping."""
 
-    `diagonal`: of N, before the elimination of the points.
-    """
-
-    pool: Float[Array, "pair d d"]
+    pairs: Float[Array, "pair d d"]
+    """Blocks of the pairs i >= j of images; the last one is ignored."""
     diagonal: Float[Array, "image d"]
+    """Diagonal of N, before the elimination of the points."""
     right: Float[Array, "image d"]
     free: Bool[Array, "image d"]
     coupling: Float[Array, "image d border"]
     border: Float[Array, "border border"]
     border_diagonal: Float[Array, " border"]
+    """Diagonal of N, before the elimination of the points."""
     border_right: Float[Array, " border"]
     border_free: Bool[Array, " border"]
-
-
-class ReducedSolver(eqx.Module):
-    """The images of the pool's blocks (`images` where a block is not used), and the way their part is factorised."""
-
-    pair: Int[Array, "pair 2"]
-    images: ImageFactor
 
 
 class ReducedFactor(eqx.Module):
@@ -65,9 +58,9 @@ class ReducedFactor(eqx.Module):
 
 
 class ReducedCofactors(eqx.Module):
-    """Cofactors at the places of the pool, of images and border, and of the border; 0 for held unknowns."""
+    """Cofactors of the pairs that have blocks, of images and border, and of the border; 0 for fixed unknowns."""
 
-    pool: Float[Array, "pair d d"]
+    pairs: Float[Array, "pair d d"]
     coupling: Float[Array, "image d border"]
     border: Float[Array, "border border"]
 
@@ -80,11 +73,11 @@ def _at_images(x: Float[Array, "image *rest"], image: Int[Array, " pair"]) -> Fl
     return x.at[image].get(mode="fill", fill_value=0.0)
 
 
-def _scaled_pool(solver: ReducedSolver, system: ReducedSystem, scale: Array, damping: Array) -> Array:
+def _scaled_pairs(solver: ReducedSolver, system: ReducedSystem, scale: Array, damping: Array) -> Array:
     """A; 0 in the blocks that are not used, whatever was thrown there."""
     i, j = solver.pair.T
     used = i < scale.shape[0]
-    scaled = _at_images(scale, i)[:, :, None] * system.pool * _at_images(scale, j)[:, None, :]
+    scaled = _at_images(scale, i)[:, :, None] * system.pairs * _at_images(scale, j)[:, None, :]
     added = jnp.where((used & (i == j))[:, None], _at_images(jnp.where(system.free, damping, 1.0), i), 0.0)
     d = scale.shape[1]
     return jnp.where(used[:, None, None], scaled, 0.0) + added[:, :, None] * jnp.eye(d)
@@ -94,7 +87,7 @@ def factorise(solver: ReducedSolver, system: ReducedSystem, damping: Float[Array
     """Factorises the system with `damping` times `diagonal` added, and carries its right-hand side along."""
     scale = _scale(system.diagonal, system.free)
     border_scale = _scale(system.border_diagonal, system.border_free)
-    factor = solver.images.factorise(_scaled_pool(solver, system, scale, damping))
+    factor = solver.images.factorise(_scaled_pairs(solver, system, scale, damping))
     coupling = scale[:, :, None] * system.coupling * border_scale
     right = solver.images.forward(factor, jnp.concatenate([coupling, (scale * system.right)[..., None]], 2))
     y = right[..., :-1]
@@ -150,5 +143,5 @@ def cofactors(solver: ReducedSolver, factor: ReducedFactor) -> ReducedCofactors:
         coupling = -scale[..., None] * (x @ border) * factor.border_scale
     else:
         coupling = factor.coupling
-    pool = _at_images(scale, i)[:, :, None] * z * _at_images(scale, j)[:, None, :]
-    return ReducedCofactors(pool, coupling, factor.border_scale[:, None] * border * factor.border_scale)
+    pairs = _at_images(scale, i)[:, :, None] * z * _at_images(scale, j)[:, None, :]
+    return ReducedCofactors(pairs, coupling, factor.border_scale[:, None] * border * factor.border_scale)

@@ -1,11 +1,21 @@
-"""Rows of the design matrix, by autodiff of the image equation and of the observation kinds.
+"""Rows of the design matrix and second derivatives of a ray, by autodiff of the image equation.
 
     v = A dt + B dX        A: six elements of the image (X0, Y0, Z0, three angles), then the estimated interior elements
                            B: X, Y, Z of the object point
 
-What depends on the image alone, the rotation matrix, is differentiated once an image. The photo vector stands between
-the camera and everything else: two vector-Jacobian products a ray give the rows of the camera, the chain rule the rest.
-All quantities are scalars, which may be arrays of any one shape.
+What depends on the image alone, the rotation matrix, is differentiated once per image. The photo vector stands between
+the camera and everything else: one vector-Jacobian product per residual gives the rows of the camera, the chain rule
+the rest. All quantities are scalars, which may be arrays of any one shape.
+
+Second derivatives of v^T P v / 2, which the normal equations N = A^T P A leave out: H = N + sum of w^2 v d2v. Of a ray,
+with F = sum of w^2 v (w^2 v constant), a function of photo vector p and interior elements e, and p_X, p_a its
+derivatives with respect to the object point and to the angles:
+
+    F_XX = p_X^T F_pp p_X        F_Xa = p_X^T F_pp p_a + F_p p_Xa        F_Xe = p_X^T F_pe
+                                 F_aa = p_a^T F_pp p_a + F_p p_aa        F_ae = p_a^T F_pe        F_ee
+
+p contains X - X0 only: what belongs to a projection centre is what belongs to the point, of opposite sign. F_p p_aa
+comes from the second derivatives of the rotation matrix, alike for all rays of an image, and is added to their sums.
 """
 
 from collections.abc import Callable
@@ -15,29 +25,63 @@ import jax
 import jax.numpy as jnp
 from jaxtyping import Array, Float, Int
 
-from jaxbundle.block.residuals import Group, touched_values, weighted
-from jaxbundle.block.unknowns import Unknowns
+from jaxbundle.block.residuals import Observations
 from jaxbundle.camera.collinearity import Vector, photo_vector
-from jaxbundle.camera.model import CameraModel, ImagePoint
+from jaxbundle.camera.model import CameraModel, Measured, Residual
 from jaxbundle.geometry.rotation import Rotation, Scalar
+from jaxbundle.normals.point_blocks import Symmetric
 from jaxbundle.numerics.stored import stored
 
-
-class RayRows(NamedTuple):
-    """Weighted residual and rows of one image point: index 0 is x, index 1 is y."""
-
-    residual: ImagePoint
-    image: tuple[list[Scalar], list[Scalar]]
-    point: tuple[Vector, Vector]
+Lower = list[list[Scalar]]  # rows of a lower triangle
 
 
 class ImageScalars(NamedTuple):
-    """What a ray takes from its image: rotation, its derivatives by three angles, centre, all interior elements."""
+    """What a ray takes from its image: rotation, its derivatives with respect to three angles, centre, interior."""
 
     rotation: Rotation
     rotation_derivatives: tuple[Rotation, Rotation, Rotation]
     centre: Vector
     interior: tuple[Scalar, ...]
+
+
+class Ray(NamedTuple):
+    """A ray: its image, its point, what is measured, and the square roots of the weights of its residuals."""
+
+    image: ImageScalars
+    point: Vector
+    measured: Measured
+    weights: tuple[Scalar, ...]
+
+
+class RayRows(NamedTuple):
+    """Weighted residuals of a ray, and for each its row by the unknowns of the image and by X, Y, Z."""
+
+    residual: Residual
+    image: list[list[Scalar]]
+    point: list[Vector]
+
+
+class RayCurvature(NamedTuple):
+    """Second derivatives of F, without F_p p_aa."""
+
+    point: Symmetric
+    """By the point."""
+    mixed: list[Any]
+    """By the unknowns of the image and the point."""
+    image: Lower
+    """By the unknowns of the image."""
+    rotation: Rotation
+    """Gradient of F with respect to the elements of the rotation matrix."""
+
+
+class PhotoVector(NamedTuple):
+    """The photo vector of a ray and its derivatives with respect to three angles; with each the transposed derivative
+    by the object point, which takes a gradient by the photo vector to one by X, Y, Z."""
+
+    value: Vector
+    to_point: Callable[[Vector], Vector]
+    turned: list[Vector]
+    turned_to_point: list[Callable[[Vector], Vector]]
 
 
 def image_equation(
@@ -46,12 +90,12 @@ def image_equation(
     centre: Vector,
     interior: tuple[Scalar, ...],
     point: Vector,
-    measured: ImagePoint,
+    measured: Measured,
     zero: Int[Array, ""] | None = None,
-) -> ImagePoint:
-    """Residual of an image point as a function of everything it depends on.
+) -> Residual:
+    """Residuals of a ray as a function of everything they depend on.
 
-    With a `zero`, photo vector and residual are `stored`, and so are their derivatives, of which there are many.
+    With a `zero`, photo vector and residuals are `stored`, and so are their derivatives, of which there are many.
     """
     vector = photo_vector(rotation, centre, point)
     if zero is None:
@@ -59,18 +103,8 @@ def image_equation(
     return stored(model.residual(interior, stored(vector, zero), measured), zero)
 
 
-class PhotoVector(NamedTuple):
-    """The photo vector of a ray and its derivatives by three angles; with each the transposed derivative by the object
-    point, that takes a gradient by the photo vector to one by X, Y, Z."""
-
-    value: Vector
-    to_point: Callable[[Vector], Vector]
-    turned: list[Vector]
-    turned_to_point: list[Callable[[Vector], Vector]]
-
-
 def photo_vector_derivatives(image: ImageScalars, point: Vector) -> PhotoVector:
-    """Of one ray."""
+    """The photo vector of one ray with its derivatives."""
 
     def with_transposed(of_point: Callable[[Vector], Vector]) -> tuple[Vector, Callable[[Vector], Vector]]:
         value, transposed = jax.vjp(of_point, point)
@@ -84,83 +118,81 @@ def photo_vector_derivatives(image: ImageScalars, point: Vector) -> PhotoVector:
     return PhotoVector(value, to_point, [t for t, _ in turned], [back for _, back in turned])
 
 
-def camera_equation(
-    model: CameraModel, columns: tuple[int, ...], image: ImageScalars, measured: ImagePoint
-) -> Callable[[Vector, tuple[Scalar, ...]], ImagePoint]:
-    """Residual of an image point as a function of photo vector and estimated interior elements."""
+def camera_equation(o: Observations, ray: Ray) -> Callable[[Vector, tuple[Scalar, ...]], Residual]:
+    """Residuals of a ray as a function of photo vector and estimated interior elements."""
 
-    def equation(vector: Vector, estimated: tuple[Scalar, ...]) -> ImagePoint:
-        interior = list(image.interior)
-        for column, value in zip(columns, estimated, strict=True):
+    def equation(vector: Vector, estimated: tuple[Scalar, ...]) -> Residual:
+        interior = list(ray.image.interior)
+        for column, value in zip(o.columns, estimated, strict=True):
             interior[column] = value
-        return model.residual(tuple(interior), vector, measured)
+        return o.model.residual(tuple(interior), vector, ray.measured)
 
     return equation
 
 
-def ray_rows(
-    model: CameraModel,
-    columns: tuple[int, ...],
-    image: ImageScalars,
-    point: Vector,
-    measured: ImagePoint,
-    weights: ImagePoint,
-) -> RayRows:
-    """Residual and rows of a ray, times the square roots of its weights; `columns`: estimated interior elements."""
-    p = photo_vector_derivatives(image, point)
-    estimated = tuple(image.interior[column] for column in columns)
-    v, transposed = jax.vjp(camera_equation(model, columns, image, measured), p.value, estimated)
-    zero = jnp.zeros_like(weights[0])
+def ray_rows(o: Observations, ray: Ray) -> RayRows:
+    """Residuals and rows of a ray, times the square roots of its weights."""
+    p = photo_vector_derivatives(ray.image, ray.point)
+    estimated = tuple(ray.image.interior[column] for column in o.columns)
+    v, transposed = jax.vjp(camera_equation(o, ray), p.value, estimated)
     image_rows, point_rows = [], []
-    for unit in ((weights[0], zero), (zero, weights[1])):
-        by_vector, by_interior = transposed(unit)
+    for k in range(len(ray.weights)):
+        by_vector, by_interior = transposed(
+            tuple(w if j == k else jnp.zeros_like(w) for j, w in enumerate(ray.weights))
+        )
         by_point = p.to_point(by_vector)
         # the equation contains X - X0 only
         image_rows.append([*(-b for b in by_point), *(chained(by_vector, t) for t in p.turned), *by_interior])
         point_rows.append(by_point)
-    residual = v[0] * weights[0], v[1] * weights[1]
-    return RayRows(residual, (image_rows[0], image_rows[1]), (point_rows[0], point_rows[1]))
+    return RayRows(tuple(r * w for r, w in zip(v, ray.weights, strict=True)), image_rows, point_rows)
 
 
 def chained(gradient: tuple[Scalar, ...], direction: tuple[Scalar, ...]) -> Scalar:
-    """Derivative along a direction from the derivatives by the elements."""
+    """Derivative along a direction from the derivatives with respect to the elements."""
     return sum(g * d for g, d in zip(gradient, direction, strict=True))
 
 
-class GroupRows(NamedTuple):
-    """Weighted residuals and rows of a group; one entry of `rows` for each touched entity."""
+def ray_curvature(o: Observations, ray: Ray, zero: Int[Array, ""]) -> RayCurvature:
+    """Second derivatives of F of one ray; `zero`: see `stored`."""
+    p = photo_vector_derivatives(ray.image, ray.point)
+    p = p._replace(value=stored(p.value, zero), turned=stored(p.turned, zero))
+    at = *p.value, *(ray.image.interior[column] for column in o.columns)
+    (f1, f2, f3, *_), lower = stored(_by_camera(camera_equation(o, ray), at, ray.weights), zero)
+    second = [[lower[max(i, j)][min(i, j)] for j in range(len(at))] for i in range(len(at))]
+    to_point = [p.to_point((row[0], row[1], row[2])) for row in second]
+    turned = [[chained(t, column) for column in zip(*second[:3], strict=True)] for t in p.turned]
+    to_point, turned = stored((to_point, [tuple(row) for row in turned]), zero)
 
-    residuals: Float[Array, "component member"]
-    rows: tuple[Float[Array, "component parameter member"], ...]
+    by_point = [p.to_point((to_point[0][j], to_point[1][j], to_point[2][j])) for j in range(3)]
+    by_angles = []
+    for row, back in zip(turned, p.turned_to_point, strict=True):
+        bent = back((f1, f2, f3))
+        by_angles.append([a + b for a, b in zip(p.to_point((row[0], row[1], row[2])), bent, strict=True)])
+    of_image = [list(by_point[i][: i + 1]) for i in range(3)]
+    for i in range(3):
+        of_image.append([*(-x for x in by_angles[i]), *(chained(turned[i][:3], t) for t in p.turned[: i + 1])])
+    for k in range(3, len(at)):
+        of_image.append([*(-x for x in to_point[k]), *(row[k] for row in turned), *lower[k][3:]])
+    mixed = [*([-x for x in row] for row in by_point), *by_angles, *to_point[3:]]
+    _, to_rotation = jax.vjp(lambda r: photo_vector(r, ray.image.centre, ray.point), ray.image.rotation)
+    (p00,), (p10, p11), (p20, p21, p22) = of_image[:3]
+    return RayCurvature((p00, p10, p20, p11, p21, p22), mixed, of_image, to_rotation((f1, f2, f3))[0])
 
 
-def group_rows(
-    group: Group,
-    unknowns: Unknowns,
-    rotation_derivatives: Float[Array, "9 3 image"],
-    columns: tuple[int, ...],
-) -> GroupRows:
-    """Residuals and rows of a group of observations, times the square roots of their weights."""
-    touches, index, weights = group.kind.touches, group.indices, group.weights
-    touched = tuple(touched_values(unknowns, kind, i) for kind, i in zip(touches, index, strict=True))
+def _by_camera(equation: Any, at: tuple[Scalar, ...], weights: tuple[Scalar, ...]) -> tuple[list[Scalar], Lower]:
+    """First and second derivatives of F with respect to photo vector and estimated interior elements."""
+    constant = tuple(w * w * v for w, v in zip(weights, equation(at[:3], at[3:]), strict=True))
 
-    def residual(*touched: Any) -> tuple[Scalar, ...]:
-        return group.kind.residuals(touched, tuple(group.values), tuple(group.constants))
+    def gradient(*at: Scalar) -> list[Scalar]:
+        by_vector, by_elements = jax.vjp(equation, at[:3], at[3:])[1](constant)
+        return [*by_vector, *by_elements]
 
-    v, transposed = jax.vjp(residual, *touched)
-    rows: list[list[Array]] = [[] for _ in touches]
-    for k in range(len(v)):
-        if weights.ndim == 3:
-            cotangent = tuple(weights[k])
-        else:
-            cotangent = tuple(weights[j] if j == k else jnp.zeros_like(weights[j]) for j in range(len(v)))
-        for entity, (kind, g) in enumerate(zip(touches, transposed(cotangent), strict=True)):
-            if kind == "image":
-                turns = rotation_derivatives[:, :, index[entity]]
-                g = (*g[0], *(chained(g[1], tuple(turns[:, a])) for a in range(3)))
-            elif kind == "camera":
-                g = tuple(g[column] for column in columns)
-            elif kind == "parameter":
-                g = (g,)
-            rows[entity].append(jnp.stack(g) if g else jnp.zeros((0, group.values.shape[1])))
-    return GroupRows(weighted(jnp.stack(v), group), tuple(jnp.stack(row) for row in rows))
+    def along(k: int) -> list[Scalar]:
+        return jax.jvp(lambda x: gradient(*at[:k], x, *at[k + 1 :]), (at[k],), (jnp.ones_like(at[k]),))[1]
+
+    return gradient(*at), [along(k)[: k + 1] for k in range(len(at))]
+
+
+def summed(lower: Lower) -> Float[Array, "slot number"]:
+    """Sums over the columns."""
+    return jnp.concatenate([jnp.sum(x, 1, keepdims=True) for row in lower for x in row], 1)

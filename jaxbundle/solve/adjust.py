@@ -20,8 +20,10 @@ from jaxbundle.block.given import require_a
 from jaxbundle.block.residuals import observations_of
 from jaxbundle.block.unknowns import unknowns_of
 from jaxbundle.block.validate import require_valid
-from jaxbundle.normals.arrange import Arranged, Arrangement, arrange, arranged_unknowns, problem, restored_unknowns
-from jaxbundle.normals.reduced_plan import Method
+from jaxbundle.normals.from_block import problem, to_block_order, to_elimination_order
+from jaxbundle.normals.plan.elimination_plan import EliminationPlan, plan_elimination
+from jaxbundle.normals.plan.reduced_plan import Method
+from jaxbundle.normals.problem import OrderedUnknowns
 from jaxbundle.normals.step import placed
 from jaxbundle.numerics.compilation import RAYS_FOR_OPTIMISATION
 from jaxbundle.numerics.host import constant, on_device, on_host
@@ -155,7 +157,7 @@ def _least_squares(
     optimised = len(block.structure.ray_image) >= RAYS_FOR_OPTIMISATION
     centres = np.asarray(values.exterior.projection_centre) if values.concrete else None
     devices = _devices(values, wanted.devices)
-    plan = arrange(block.structure, block.groups, centres, devices, wanted.reduced, precision)
+    plan = plan_elimination(block.structure, block.groups, centres, devices, wanted.reduced, direct=precision)
     run = _Run(centred, plan, Arguments(problem(plan, centred), wanted.rule.arranged(plan.order)), optimised, wanted)
     arranged, iterations = _solved(run, checkpoint)
     given = run.args.problem
@@ -163,11 +165,11 @@ def _least_squares(
         precision = precision and int(iterations.status) != Status.INTERRUPTED
     else:
         centred = block.moved(-origin)
-        given, start = problem(plan, centred), arranged_unknowns(plan, unknowns_of(centred))
+        given, start = problem(plan, centred), to_elimination_order(plan, unknowns_of(centred))
         converged = iterations.status == Status.CONVERGED
         arranged = minimum(arranged, start, given, converged, wanted.derivatives, optimised)
     if block.structure.datum.kind == "inner":
-        arranged = arranged_unknowns(plan, constrained(centred, restored_unknowns(plan, arranged)))
+        arranged = to_elimination_order(plan, constrained(centred, to_block_order(plan, arranged)))
         block = dataclasses.replace(block, structure=freed(block.structure))
     ended = Ended(
         iterations, origin, wanted.rule.name, wanted.method, precision, inspected and block.concrete, optimised
@@ -175,7 +177,7 @@ def _least_squares(
     return adjustment(block, plan, given, arranged, ended)
 
 
-def _solved(run: "_Run", checkpoint: Path | None) -> tuple[Arranged, Iterations]:
+def _solved(run: "_Run", checkpoint: Path | None) -> tuple[OrderedUnknowns, Iterations]:
     """The minimum."""
     block, wanted = run.block, run.wanted
     if wanted.engine == "jaxopt":
@@ -184,9 +186,9 @@ def _solved(run: "_Run", checkpoint: Path | None) -> tuple[Arranged, Iterations]
         args = second_opinion.Arguments(observations_of(block), wanted.rule)
         unknowns, iterations = second_opinion.solve(unknowns_of(block), args, wanted.method, wanted.max_iterations)
         if not np.isfinite(float(iterations.initial_cost)):
-            start = arranged_unknowns(run.plan, unknowns_of(block))
+            start = to_elimination_order(run.plan, unknowns_of(block))
             require_finite_start(block, run.plan, start, run.args.problem)
-        return arranged_unknowns(run.plan, unknowns), iterations
+        return to_elimination_order(run.plan, unknowns), iterations
     if not block.concrete:
         return _in_one(run)
     return _step_by_step(run, None if checkpoint is None else Keeper(checkpoint, fingerprint(block, wanted.method)))
@@ -214,13 +216,13 @@ class _Run(NamedTuple):
     """What a solve needs."""
 
     block: Block
-    plan: Arrangement
+    plan: EliminationPlan
     args: Arguments
     optimised: bool
     wanted: _Wanted
 
 
-def _in_one(run: _Run) -> tuple[Arranged, Iterations]:
+def _in_one(run: _Run) -> tuple[OrderedUnknowns, Iterations]:
     """All steps in one program, as tracing needs it; under vmap one block after the other.
 
     Measured: a block's arrays are long enough by themselves, those of many blocks together leave the processor's cache.
@@ -228,22 +230,22 @@ def _in_one(run: _Run) -> tuple[Arranged, Iterations]:
     bundle, most = BundleSolver(METHODS[run.wanted.method]()), run.wanted.max_iterations
 
     @sequential_vmap
-    def solved(unknowns: Arranged, args: Arguments) -> tuple[Arranged, State]:
+    def solved(unknowns: OrderedUnknowns, args: Arguments) -> tuple[OrderedUnknowns, State]:
         return solver.run(bundle, unknowns, args, bundle.first(), most, optimised=run.optimised)
 
-    unknowns, state = solved(arranged_unknowns(run.plan, unknowns_of(run.block)), run.args)
+    unknowns, state = solved(to_elimination_order(run.plan, unknowns_of(run.block)), run.args)
     codes = jnp.array([_STATUS[k] for k in range(len(_STATUS))])
     return unknowns, _iterations(state, codes[state.status])
 
 
-def _step_by_step(run: _Run, keeper: Keeper | None) -> tuple[Arranged, Iterations]:
+def _step_by_step(run: _Run, keeper: Keeper | None) -> tuple[OrderedUnknowns, Iterations]:
     """One step a call, so that a user can look on, stop it, and go on from a checkpoint."""
     bundle = BundleSolver(METHODS[run.wanted.method]())
     start, state = unknowns_of(run.block), bundle.first()
     if keeper is not None:
         start, state = keeper.resumed(start, state)
         state = state._replace(status=on_device(solver.RUNNING, state.status.dtype))  # a file's verdict is not believed
-    unknowns, problem, state = placed(arranged_unknowns(run.plan, start), run.args.problem, state)
+    unknowns, problem, state = placed(to_elimination_order(run.plan, start), run.args.problem, state)
     args, interrupted, costs, creeping = run.args._replace(problem=problem), False, [], False
     try:
         while int(state.trials) < run.wanted.max_iterations and int(state.status) == solver.RUNNING and not creeping:
@@ -254,7 +256,7 @@ def _step_by_step(run: _Run, keeper: Keeper | None) -> tuple[Arranged, Iteration
             accepted = int(state.accepted) > before
             if keeper is not None and accepted and int(state.status) == solver.RUNNING:
                 # the last step is not kept: who goes on from here does it again and comes to the same end
-                keeper.keep(restored_unknowns(run.plan, unknowns), state)
+                keeper.keep(to_block_order(run.plan, unknowns), state)
             if run.wanted.progress is not None:
                 run.wanted.progress(_progress(run.block, state, accepted))
             if accepted:

@@ -10,7 +10,7 @@ from jaxtyping import Array, Float, Int
 from jaxbundle.block.block import Block
 from jaxbundle.block.findings import Finding, Kind, Severity, of_kind
 from jaxbundle.block.wording import counted
-from jaxbundle.normals.implicit import TOLERANCE
+from jaxbundle.normals.pcg import TOLERANCE
 from jaxbundle.numerics.host import array_module, is_concrete, on_device, on_host
 
 REDUCED = {

@@ -14,11 +14,13 @@ from jaxtyping import Array, Float
 from jaxbundle.block.block import Block, ExteriorOrientation, InteriorOrientation
 from jaxbundle.block.datum_precision import weak_datum
 from jaxbundle.block.unknowns import angle_derivatives, angles_near
-from jaxbundle.normals.arrange import Arranged, Arrangement, Problem, restored_rays, restored_unknowns, spread
 from jaxbundle.normals.cofactors import Cofactors, cofactors
+from jaxbundle.normals.cost import ray_arrays, rounding_noise, weighted_residuals
+from jaxbundle.normals.from_block import rays_to_block_order, spread, to_block_order
 from jaxbundle.normals.inspection import Inspection, inspection
-from jaxbundle.normals.residuals import weighted_residuals
-from jaxbundle.normals.step import rounding_noise
+from jaxbundle.normals.plan.elimination_plan import EliminationPlan
+from jaxbundle.normals.plan.layout import EXTERIOR
+from jaxbundle.normals.problem import OrderedUnknowns, Problem
 from jaxbundle.numerics.compilation import Compiled
 from jaxbundle.numerics.host import array_module, constant, is_concrete, on_device, on_host
 from jaxbundle.solve.adjustment import Adjustment, BlockCofactors, Iterations, Status
@@ -54,7 +56,7 @@ class Ended(NamedTuple):
 
 @Compiled
 def _answer(
-    arranged: Arranged, problem: Problem, reference: Float[Array, "3 image"], precision: bool, inspected: bool
+    arranged: OrderedUnknowns, problem: Problem, reference: Float[Array, "3 image"], precision: bool, inspected: bool
 ) -> Answer:
     """Angles near the reference, weighted residuals, cofactors; those of the exterior in the user's angles."""
     o, matrix = problem.observations, arranged.images.rotation
@@ -72,9 +74,9 @@ def _answer(
 
 def adjustment(
     block: Block,
-    plan: Arrangement,
+    plan: EliminationPlan,
     problem: Problem,
-    arranged: Arranged,
+    arranged: OrderedUnknowns,
     ended: Ended,
 ) -> Adjustment:
     """The answer for a block. `problem` and `arranged` belong to the block with its origin moved to `ended.origin`."""
@@ -130,12 +132,11 @@ def certified(iterations: Iterations, found: Inspection, noise: float) -> Iterat
     return iterations._replace(status=on_device(int(Status.STALLED)))
 
 
-def _tables(plan: Arrangement, problem: Problem, parts: list[Array]) -> tuple[Array, ...]:
+def _tables(plan: EliminationPlan, problem: Problem, parts: list[Array]) -> tuple[Array, ...]:
     """What belongs to the observations, a table for the rays and for every group; 0 where nothing is observed."""
-    cells = 2 * len(problem.tiles)
-    groups = cells + (2 if problem.kept_rays.image.shape[0] else 0)
-    rays = restored_rays(plan, parts[:cells], parts[cells:groups])
-    return rays, *(on_device(on_host(v).T) for v in parts[groups:])
+    of_rays = ray_arrays(problem)
+    rays = rays_to_block_order(plan, problem.observations.model.components, parts[:of_rays])
+    return rays, *(on_device(on_host(v).T) for v in parts[of_rays:])
 
 
 def _unweighted(block: Block, weighted: tuple[Array, ...]) -> tuple[Array, ...]:
@@ -151,10 +152,14 @@ def _redundancy_numbers(block: Block, leverages: tuple[Array, ...]) -> tuple[Arr
 
 
 def _adjusted(
-    block: Block, plan: Arrangement, arranged: Arranged, angles: Float[Array, "3 image"], origin: Float[Array, "3"]
+    block: Block,
+    plan: EliminationPlan,
+    arranged: OrderedUnknowns,
+    angles: Float[Array, "3 image"],
+    origin: Float[Array, "3"],
 ) -> Block:
     """The block with its adjusted values. What is held stays exactly as it was given: moving the origin rounds."""
-    unknowns, structure = restored_unknowns(plan, arranged), block.structure
+    unknowns, structure = to_block_order(plan, arranged), block.structure
 
     def chosen(free: np.ndarray, new: Array, old: Array) -> Array:
         new, old = on_host(new), on_host(old)
@@ -173,33 +178,34 @@ def _adjusted(
     )
 
 
-def _cofactors(block: Block, plan: Arrangement, answer: Answer, inner: InnerCofactors | None) -> BlockCofactors:
+def _cofactors(block: Block, plan: EliminationPlan, answer: Answer, inner: InnerCofactors | None) -> BlockCofactors:
     """Cofactors in the order of the block; `inner`: those of a free network in place of those of its minimal datum."""
-    structure, shape, q = block.structure, plan.shape, answer.cofactors
+    structure, layout, q = block.structure, plan.layout, answer.cofactors
     assert q is not None
     xp = array_module((answer.to_user, q.points))
     to_user, small = (
-        on_host(x)[plan.order.image] for x in (answer.to_user, inner.images if inner else q.images[:, :6, :6])
+        on_host(x)[plan.order.image]
+        for x in (answer.to_user, inner.images if inner else q.images[:, :EXTERIOR, :EXTERIOR])
     )
     exterior = to_user @ small @ to_user.transpose(0, 2, 1)
 
     elements, columns = block.interior.elements.shape[1], np.array(structure.interior_columns, int)
     cameras, count = len(structure.cameras), len(columns)
     border = on_host(q.border)
-    if shape.image > 6:
-        own = on_host(q.images)[plan.order.camera][:, 6:, 6:]
+    if layout.own_cameras:
+        own = on_host(q.images)[plan.order.camera][:, EXTERIOR:, EXTERIOR:]
     else:
-        at = count * np.arange(cameras)[:, None] + np.arange(count)
+        at = layout.camera_rows(np.arange(cameras))
         own = border[at[:, :, None], at[:, None, :]]
     place = np.zeros((elements, count))
     place[columns, np.arange(count)] = 1.0
     interior = place @ own @ place.T
 
-    at = shape.first_kept_point + 3 * np.arange(shape.kept)[:, None] + np.arange(3)
-    kept = border[at[:, :, None], at[:, None, :]]
-    inside = slice(shape.first_parameter, shape.first_parameter + plan.order.parameters)
+    at = layout.point_rows(np.arange(layout.points))
+    of_border = border[at[:, :, None], at[:, None, :]]
+    inside = slice(layout.first_parameter, layout.first_parameter + plan.order.parameters)
     eliminated = q.points
     if inner:
-        kept, eliminated = on_host(inner.kept_points), inner.points
-    points = xp.concatenate([on_host(eliminated).transpose(2, 3, 0, 1).reshape(-1, 3, 3), kept])[plan.order.point]
+        of_border, eliminated = on_host(inner.border_points), inner.points
+    points = xp.concatenate([on_host(eliminated).transpose(2, 3, 0, 1).reshape(-1, 3, 3), of_border])[plan.order.point]
     return BlockCofactors(*map(on_device, (exterior, interior, points, border[inside, inside])))

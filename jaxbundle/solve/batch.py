@@ -7,7 +7,7 @@ from typing import Any, NamedTuple
 
 from jaxbundle.block.block import Block
 from jaxbundle.block.given import require_a
-from jaxbundle.normals.reduced_plan import Method
+from jaxbundle.normals.plan.reduced_plan import Method
 from jaxbundle.solve.adjust import adjust, require_options
 from jaxbundle.solve.adjustment import Adjustment, Status
 from jaxbundle.solve.robust import AbstractWeightFunction

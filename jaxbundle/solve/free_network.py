@@ -25,11 +25,12 @@ from jaxbundle.block.block import Block, Structure
 from jaxbundle.block.datum_defect import transformed
 from jaxbundle.block.unknowns import Unknowns, attitude_derivatives
 from jaxbundle.geometry import rotation
-from jaxbundle.normals.arrange import Arranged, Arrangement, Problem
+from jaxbundle.normals.cholesky import inverse_factor
 from jaxbundle.normals.cofactors import Cofactors
-from jaxbundle.normals.inverse_factor import inverse_factor
-from jaxbundle.normals.solution import solve_normals
-from jaxbundle.normals.vector import NormalVector
+from jaxbundle.normals.plan.elimination_plan import EliminationPlan
+from jaxbundle.normals.plan.layout import EXTERIOR
+from jaxbundle.normals.problem import NormalVector, OrderedUnknowns, Problem
+from jaxbundle.normals.solve_normals import solve_normals
 from jaxbundle.numerics.compilation import Compiled
 from jaxbundle.numerics.host import is_concrete, on_device
 
@@ -88,13 +89,13 @@ class InnerCofactors(NamedTuple):
     """Cofactors in the inner constraints, in the order of elimination: angles are those of the corrections."""
 
     images: Float[Array, "image 6 6"]
-    kept_points: Float[Array, "kept 3 3"]
+    border_points: Float[Array, "kept 3 3"]
     points: Float[Array, "3 3 tile column"]
 
 
 @Compiled
 def _inner_cofactors(
-    unknowns: Arranged,
+    unknowns: OrderedUnknowns,
     p: Problem,
     carrying: Float[Array, " place"],
     images: Float[Array, "image d d"],
@@ -107,19 +108,19 @@ def _inner_cofactors(
     `carrying`: 1 for the places of points over which the constraints are formed, tiles first, then kept points.
     """
     g = similarities(unknowns, p, constraints)
-    first, chosen = p.shape.first_kept_point, _carried(g, p, carrying)
+    first, chosen = p.layout.first_point, _carried(g, p, carrying)
     inverse = inverse_factor(_products(chosen, g))
     m = inverse.T @ inverse
     q = solve_normals(unknowns, p, chosen)
     d = m @ _products(chosen, q) @ m.T
     block = jax.vmap(lambda cofactors, g, c: _transformed(cofactors, g, c, m, d), (0, 1, 1))
-    at = first + 3 * np.arange(p.shape.kept)[:, None] + np.arange(3)
+    at = p.layout.point_rows(np.arange(p.layout.points))
     kept = border[at[:, :, None], at[:, None, :]]
     gm, cm = jnp.einsum("kl,lctn->kctn", d, g.tiles), jnp.einsum("kl,lctn->kctn", m, q.tiles)
     mixed = [[jnp.sum(g.tiles[:, a] * cm[:, b], 0) for b in range(3)] for a in range(3)]
     added = [[jnp.sum(g.tiles[:, a] * gm[:, b], 0) - mixed[a][b] - mixed[b][a] for b in range(3)] for a in range(3)]
     return InnerCofactors(
-        block(images[:, :6, :6], g.images[:, :, :6], q.images[:, :, :6]),
+        block(images[:, :EXTERIOR, :EXTERIOR], g.images[:, :, :EXTERIOR], q.images[:, :, :EXTERIOR]),
         block(kept, _by_point(g.border, first), _by_point(q.border, first)),
         points + jnp.stack([jnp.stack(row) for row in added]),
     )
@@ -142,7 +143,7 @@ def _carried(g: NormalVector, p: Problem, carrying: Float[Array, " place"]) -> N
     """B: the rows of G of the points that carry the constraints."""
     tiles = g.tiles.shape[2:]
     places = tiles[0] * tiles[1]
-    at_border = _border(carrying[places:], p.shape.first_kept_point)
+    at_border = _border(carrying[places:], p.layout.first_point)
     return NormalVector(jnp.zeros_like(g.images), g.border * at_border, g.tiles * carrying[:places].reshape(tiles))
 
 
@@ -155,7 +156,7 @@ def _by_point(border: Float[Array, "k border"], first: int) -> Float[Array, "k k
     return border[:, first:].reshape(len(border), (border.shape[1] - first) // 3, 3)
 
 
-def similarities(unknowns: Arranged, p: Problem, constraints: int) -> NormalVector:
+def similarities(unknowns: OrderedUnknowns, p: Problem, constraints: int) -> NormalVector:
     """G: corrections of the unknowns under small translations, rotations and, with 7 constraints, a change of scale.
 
     Lengths are in units of the spread of the images, so that all columns are of one size.
@@ -175,17 +176,17 @@ def similarities(unknowns: Arranged, p: Problem, constraints: int) -> NormalVect
     # the columns of a rotation's derivatives by three angles about its own axes are orthogonal, of squared length 2
     angles = jnp.einsum("eai,eik->aik", turns, turned) / jnp.sum(turns**2, 0)[..., None]
     exterior = jnp.concatenate([centre, angles]).transpose(2, 1, 0)[:constraints]
-    own = jnp.zeros((constraints, exterior.shape[1], p.shape.image - 6))
+    own = jnp.zeros((constraints, exterior.shape[1], p.layout.image - EXTERIOR))
     border = kept.transpose(2, 1, 0)[:constraints].reshape(constraints, -1)
     return NormalVector(
         jnp.concatenate([exterior, own], 2),
-        jnp.concatenate([jnp.zeros((constraints, p.shape.first_kept_point)), border], 1),
+        jnp.concatenate([jnp.zeros((constraints, p.layout.first_point)), border], 1),
         tiles.transpose(2, 0, 1)[:constraints].reshape(constraints, *unknowns.tiles.shape),
     )
 
 
 def with_inner_constraints(
-    unknowns: Arranged, p: Problem, carrying: Float[Array, " place"], constraints: int, rows: NormalVector
+    unknowns: OrderedUnknowns, p: Problem, carrying: Float[Array, " place"], constraints: int, rows: NormalVector
 ) -> NormalVector:
     """S^T f for every row f: with Q of the minimal datum, f Q f^T is that of the inner constraints."""
     g = similarities(unknowns, p, constraints)
@@ -196,7 +197,7 @@ def with_inner_constraints(
     return jax.tree.map(lambda f, b: f - jnp.einsum("fk,k...->f...", whole @ m, b), rows, chosen)
 
 
-def carrying_places(structure: Structure, plan: Arrangement) -> Float[Array, " place"]:
+def carrying_places(structure: Structure, plan: EliminationPlan) -> Float[Array, " place"]:
     """1 for the places of the points that carry the constraints, tiles first, then kept points."""
     places = np.zeros(plan.order.points)
     places[plan.order.point[carrying(structure)]] = 1.0
@@ -204,7 +205,7 @@ def carrying_places(structure: Structure, plan: Arrangement) -> Float[Array, " p
 
 
 def inner_cofactors_of(
-    structure: Structure, plan: Arrangement, unknowns: Arranged, p: Problem, q: Cofactors, optimised: bool
+    structure: Structure, plan: EliminationPlan, unknowns: OrderedUnknowns, p: Problem, q: Cofactors, optimised: bool
 ) -> InnerCofactors:
     """The cofactors of a free network from those of the minimal datum it was adjusted in."""
     constraints = structure.datum.constraints

@@ -19,11 +19,10 @@ from jax.flatten_util import ravel_pytree
 from jaxtyping import Array, Bool
 
 from jaxbundle.block.unknowns import Unknowns, corrected
-from jaxbundle.normals.arrange import Arranged, Problem
-from jaxbundle.normals.kept_vector import correction_of, kept_free
-from jaxbundle.normals.residuals import cost, weighted_residuals
-from jaxbundle.normals.solution import solve_normals
-from jaxbundle.normals.vector import NormalVector
+from jaxbundle.normals.cost import cost, weighted_residuals
+from jaxbundle.normals.problem import NormalVector, OrderedUnknowns, Problem, ReducedVector
+from jaxbundle.normals.reduced_vector import correction_of
+from jaxbundle.normals.solve_normals import solve_normals
 from jaxbundle.numerics.compilation import Compiled
 
 Derivatives = Literal["exact", "gauss-newton"]
@@ -31,14 +30,19 @@ Derivatives = Literal["exact", "gauss-newton"]
 
 @eqx.filter_custom_jvp
 def minimum(
-    found: Arranged, start: Arranged, p: Problem, converged: Bool[Array, ""], derivatives: Derivatives, optimised: bool
-) -> Arranged:
+    found: OrderedUnknowns,
+    start: OrderedUnknowns,
+    p: Problem,
+    converged: Bool[Array, ""],
+    derivatives: Derivatives,
+    optimised: bool,
+) -> OrderedUnknowns:
     """`found` as a function of `p` and of what is held in `start`; its derivatives are NaN unless it has converged."""
     return found
 
 
 @minimum.def_jvp
-def _minimum_jvp(primals: tuple, tangents: tuple) -> tuple[Arranged, Arranged]:
+def _minimum_jvp(primals: tuple, tangents: tuple) -> tuple[OrderedUnknowns, OrderedUnknowns]:
     _, start, p, converged, derivatives, optimised = primals
     x = minimum(*primals)
     given, given_dot = (start, p), tangents[1:3]
@@ -47,7 +51,7 @@ def _minimum_jvp(primals: tuple, tangents: tuple) -> tuple[Arranged, Arranged]:
     sign = jnp.where(converged, -1.0, jnp.nan)
     d = _solve(x, start, p, jax.tree.map(lambda g: sign * g, g_dot), derivatives, optimised=optimised)
 
-    def moved_by(start: Arranged, d: NormalVector) -> Arranged:
+    def moved_by(start: OrderedUnknowns, d: NormalVector) -> OrderedUnknowns:
         return _moved(x, start, p, d, optimised=optimised)
 
     return x, eqx.filter_jvp(moved_by, (start, zero_vector(p)), (given_dot[0], d))[1]
@@ -55,23 +59,24 @@ def _minimum_jvp(primals: tuple, tangents: tuple) -> tuple[Arranged, Arranged]:
 
 def zero_vector(p: Problem) -> NormalVector:
     """No correction."""
-    return NormalVector(*(jnp.zeros(mask.shape) for mask in (*kept_free(p), p.free_tiles)))
+    return NormalVector(*(jnp.zeros(mask.shape) for mask in (*p.free, p.free_tiles)))
 
 
-def moved(x: Arranged, p: Problem, d: NormalVector) -> Arranged:
+def moved(x: OrderedUnknowns, p: Problem, d: NormalVector) -> OrderedUnknowns:
     """The unknowns x after a correction, of which what is held takes no notice."""
-    o, kept = p.observations, kept_free(p)
-    correction = correction_of(jnp.where(kept.images, d.images, 0.0), jnp.where(kept.border, d.border, 0.0), p, x)
+    o, free = p.observations, p.free
+    step = ReducedVector(jnp.where(free.images, d.images, 0.0), jnp.where(free.border, d.border, 0.0))
+    correction = correction_of(step, p, x)
     images = corrected(x.images, correction, o.in_angles, o.system)
-    return Arranged(images, x.tiles + jnp.where(p.free_tiles, d.tiles, 0.0))
+    return OrderedUnknowns(images, x.tiles + jnp.where(p.free_tiles, d.tiles, 0.0))
 
 
 @Compiled
-def _moved(x: Arranged, start: Arranged, p: Problem, d: NormalVector) -> Arranged:
+def _moved(x: OrderedUnknowns, start: OrderedUnknowns, p: Problem, d: NormalVector) -> OrderedUnknowns:
     return moved(_held(x, start, p), p, d)
 
 
-def _held(x: Arranged, start: Arranged, p: Problem) -> Arranged:
+def _held(x: OrderedUnknowns, start: OrderedUnknowns, p: Problem) -> OrderedUnknowns:
     """x with all that is held taken from the start."""
     o, u, first = p.observations, x.images, start.images
     free = o.exterior_free
@@ -88,24 +93,26 @@ def _held(x: Arranged, start: Arranged, p: Problem) -> Arranged:
         jnp.where(free[:3], u.centre, first.centre),
         jnp.where(interior, u.interior, first.interior),
         jnp.where(o.parameter_free, u.parameters, first.parameters),
-        jnp.where(o.point_free[:, o.point_free.shape[1] - p.shape.kept :], u.points, first.points),
+        jnp.where(o.point_free[:, p.tile_points :], u.points, first.points),
     )
-    return Arranged(images, jnp.where(p.free_tiles, x.tiles, start.tiles))
+    return OrderedUnknowns(images, jnp.where(p.free_tiles, x.tiles, start.tiles))
 
 
-def _cost(d: NormalVector, x: Arranged, start: Arranged, p: Problem) -> Array:
+def _cost(d: NormalVector, x: OrderedUnknowns, start: OrderedUnknowns, p: Problem) -> Array:
     """F."""
     return cost(moved(_held(x, start, p), p, d), p)
 
 
 @Compiled
-def _gradient(x: Arranged, start: Arranged, p: Problem) -> NormalVector:
+def _gradient(x: OrderedUnknowns, start: OrderedUnknowns, p: Problem) -> NormalVector:
     """g."""
     return jax.grad(_cost)(zero_vector(p), x, start, p)
 
 
 @Compiled
-def _solve(x: Arranged, start: Arranged, p: Problem, right: NormalVector, derivatives: Derivatives) -> NormalVector:
+def _solve(
+    x: OrderedUnknowns, start: OrderedUnknowns, p: Problem, right: NormalVector, derivatives: Derivatives
+) -> NormalVector:
     """H^-1 b. The engine solves; what is differentiated once more, where it is, is the product H d."""
     zero = zero_vector(p)
     flat, vector = ravel_pytree(right)  # one array: parts that depend on nothing have no transposed solution

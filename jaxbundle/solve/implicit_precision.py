@@ -19,11 +19,12 @@ from jax.flatten_util import ravel_pytree
 from jaxtyping import Array, Float, Int
 
 from jaxbundle.block.block import Structure
-from jaxbundle.normals.arrange import Arranged, Arrangement, Problem
 from jaxbundle.normals.cofactor_gradient import CofactorWeights, cofactor_gradient
 from jaxbundle.normals.cofactors import Cofactors, cofactors
-from jaxbundle.normals.residuals import weighted_residuals
-from jaxbundle.normals.vector import NormalVector, arranged_vectors
+from jaxbundle.normals.cost import weighted_residuals
+from jaxbundle.normals.from_block import ordered_vectors
+from jaxbundle.normals.plan.elimination_plan import EliminationPlan
+from jaxbundle.normals.problem import NormalVector, OrderedUnknowns, Problem
 from jaxbundle.numerics.compilation import Compiled
 from jaxbundle.numerics.host import on_device
 from jaxbundle.numerics.linear_map import linear_map
@@ -42,7 +43,7 @@ class Precision(NamedTuple):
 
 
 def with_derivatives(
-    found: Cofactors, x: Arranged, p: Problem, plan: Arrangement, structure: Structure, optimised: bool
+    found: Cofactors, x: OrderedUnknowns, p: Problem, plan: EliminationPlan, structure: Structure, optimised: bool
 ) -> Cofactors:
     """The cofactors as functions of the unknowns and of the observations."""
     free = None
@@ -50,7 +51,7 @@ def with_derivatives(
         images, points = len(structure.image_names), len(structure.point_names)
         shapes = (images, 6), structure.interior_free[:, list(structure.interior_columns)].shape
         ones = (np.ones((1, *shape)) for shape in (*shapes, structure.parameter_free.shape, (points, 3)))
-        masks = arranged_vectors(plan, structure, *ones)
+        masks = ordered_vectors(plan, structure, *ones)
         free = on_device(np.flatnonzero(np.concatenate([np.ravel(mask) for mask in masks])))
     given = Precision(found.images, found.border, found.points, found.leverages)
     q = _precision(given, x, p, free, optimised)
@@ -59,7 +60,7 @@ def with_derivatives(
 
 @eqx.filter_custom_jvp
 def _precision(
-    found: Precision, x: Arranged, p: Problem, free: Int[Array, " free"] | None, optimised: bool
+    found: Precision, x: OrderedUnknowns, p: Problem, free: Int[Array, " free"] | None, optimised: bool
 ) -> Precision:
     return found
 
@@ -70,19 +71,19 @@ def _precision_jvp(primals: tuple, tangents: tuple) -> tuple[Precision, Precisio
     if free is None:
         return _precision(*primals), _by_engine(found, x, p, tangents[1:3], optimised=optimised)
 
-    def compute(x: Arranged, p: Problem) -> Precision:
+    def compute(x: OrderedUnknowns, p: Problem) -> Precision:
         return _dense(x, p, free, optimised=optimised)
 
     return _precision(*primals), eqx.filter_jvp(compute, (x, p), tangents[1:3])[1]
 
 
 @Compiled
-def _by_engine(found: Precision, x: Arranged, p: Problem, moved: tuple) -> Precision:
+def _by_engine(found: Precision, x: OrderedUnknowns, p: Problem, moved: tuple) -> Precision:
     """The derivative along `moved`, in forward mode and transposed."""
     vector, restored = ravel_pytree(moved)
     flat, precision = ravel_pytree(found)
 
-    def compute(x: Arranged, p: Problem) -> Precision:
+    def compute(x: OrderedUnknowns, p: Problem) -> Precision:
         q = cofactors(x, p)
         return Precision(q.images, q.border, q.points, q.leverages)
 
@@ -98,7 +99,7 @@ def _by_engine(found: Precision, x: Arranged, p: Problem, moved: tuple) -> Preci
 
 
 @Compiled
-def _dense(x: Arranged, p: Problem, free: Int[Array, " free"]) -> Precision:
+def _dense(x: OrderedUnknowns, p: Problem, free: Int[Array, " free"]) -> Precision:
     """The same from the whole of Q."""
     zero = zero_vector(p)
     sizes = np.cumsum([part.size for part in zero])

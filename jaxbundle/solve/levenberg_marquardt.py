@@ -18,8 +18,8 @@ import jax.numpy as jnp
 import optimistix as optx
 from jaxtyping import Array, Bool, Float, Int
 
-from jaxbundle.normals.arrange import Arranged, Problem
-from jaxbundle.normals.residuals import weighted_residuals
+from jaxbundle.normals.cost import weighted_residuals
+from jaxbundle.normals.problem import OrderedUnknowns, Problem
 from jaxbundle.normals.step import trial_step
 from jaxbundle.numerics.compilation import Compiled
 from jaxbundle.numerics.host import on_device
@@ -54,7 +54,7 @@ class State(NamedTuple):
     step: Float[Array, ""]  # |J d| / |v| of the last trial
 
 
-class BundleSolver(optx.AbstractLeastSquaresSolver[Arranged, Any, Any, State]):
+class BundleSolver(optx.AbstractLeastSquaresSolver[OrderedUnknowns, Any, Any, State]):
     """Block-sparse least squares for `optx.least_squares`; `options["state"]` continues an interrupted solve."""
 
     rtol: float
@@ -75,11 +75,13 @@ class BundleSolver(optx.AbstractLeastSquaresSolver[Arranged, Any, Any, State]):
     def init(self, fn, y, args, options, f_struct, aux_struct, tags) -> State:
         return options["state"] if "state" in options else self.first()
 
-    def step(self, fn, y: Arranged, args: Arguments, options, state: State, tags) -> tuple[Arranged, State, Any]:
+    def step(
+        self, fn, y: OrderedUnknowns, args: Arguments, options, state: State, tags
+    ) -> tuple[OrderedUnknowns, State, Any]:
         problem, rule = args
         damping = jnp.where(state.certifying, 0.0, state.search.damping)
         trial = trial_step(y, problem, damping)
-        angle_squared = jnp.maximum(trial.moved - 2 * trial.noise, 0.0) / (2 * trial.cost)
+        angle_squared = jnp.maximum(trial.residual_change - 2 * trial.noise, 0.0) / (2 * trial.cost)
         accepted, search = self.search.judge(state.search, trial.reduction, trial.predicted, trial.cost, trial.noise)
         accepted = accepted & trial.finite
         # a certifying step is no information about the damping
@@ -117,7 +119,7 @@ class BundleSolver(optx.AbstractLeastSquaresSolver[Arranged, Any, Any, State]):
     def terminate(self, fn, y, args, options, state: State, tags) -> tuple[Bool[Array, ""], optx.RESULTS]:
         return state.status != RUNNING, optx.RESULTS.successful
 
-    def postprocess(self, fn, y, aux, args, options, state: State, tags, result) -> tuple[Arranged, Any, dict]:
+    def postprocess(self, fn, y, aux, args, options, state: State, tags, result) -> tuple[OrderedUnknowns, Any, dict]:
         return y, aux, {"state": state}
 
 
@@ -128,11 +130,11 @@ def is_flat(steepness: Array, cost: Array, noise: Array, tolerance: Array | floa
 
 @Compiled
 def run(
-    solver: BundleSolver, unknowns: Arranged, args: Arguments, state: State, max_steps: int
-) -> tuple[Arranged, State]:
+    solver: BundleSolver, unknowns: OrderedUnknowns, args: Arguments, state: State, max_steps: int
+) -> tuple[OrderedUnknowns, State]:
     """At most `max_steps` steps from a state; `max_steps` is static."""
 
-    def residuals(unknowns: Arranged, args: Arguments) -> list[Array]:
+    def residuals(unknowns: OrderedUnknowns, args: Arguments) -> list[Array]:
         return weighted_residuals(unknowns, args.problem)
 
     solution = optx.least_squares(residuals, solver, unknowns, args, {"state": state}, max_steps=max_steps, throw=False)

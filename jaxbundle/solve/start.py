@@ -7,9 +7,11 @@ from jaxtyping import Array, Bool, Float
 
 from jaxbundle.block.block import Block, Structure
 from jaxbundle.block.problems import BlockError, Problem
-from jaxbundle.normals.arrange import Arranged, Arrangement, restored_rays
-from jaxbundle.normals.arrange import Problem as Arrays
-from jaxbundle.normals.residuals import weighted_residuals
+from jaxbundle.normals.cost import ray_arrays, weighted_residuals
+from jaxbundle.normals.from_block import rays_to_block_order
+from jaxbundle.normals.plan.elimination_plan import EliminationPlan
+from jaxbundle.normals.problem import OrderedUnknowns
+from jaxbundle.normals.problem import Problem as Arrays
 from jaxbundle.numerics.compilation import Compiled
 from jaxbundle.numerics.host import on_host
 
@@ -18,21 +20,20 @@ SAME_PLACE = 1e-12  # of the size of the block: what of a distance is rounding
 
 
 @Compiled
-def _residuals(unknowns: Arranged, p: Arrays) -> list[Array]:
+def _residuals(unknowns: OrderedUnknowns, p: Arrays) -> list[Array]:
     return weighted_residuals(unknowns, p)
 
 
-def require_finite_start(block: Block, plan: Arrangement, unknowns: Arranged, p: Arrays) -> None:
+def require_finite_start(block: Block, plan: EliminationPlan, unknowns: OrderedUnknowns, p: Arrays) -> None:
     """Raises BlockError naming the points, images and observations whose residuals at the start are no numbers.
 
     `block` has the origin of the unknowns and their start values. For where v^T P v is not finite there.
     """
     parts = _residuals(unknowns, p, optimised=False)
-    cells = 2 * len(p.tiles)
-    of_groups = cells + (2 if p.kept_rays.image.shape[0] else 0)
-    rays = on_host(restored_rays(plan, parts[:cells], parts[cells:of_groups]))
+    of_rays = ray_arrays(p)
+    rays = on_host(rays_to_block_order(plan, p.observations.model.components, parts[:of_rays]))
     problems = list(_of_rays(block, np.flatnonzero(_is_bad(rays))))
-    for group, residuals in zip(block.groups, parts[of_groups:], strict=True):
+    for group, residuals in zip(block.groups, parts[of_rays:], strict=True):
         name = group.structure.kind.name
         problems += [
             Problem(

@@ -20,7 +20,7 @@ from jaxbundle.block.residuals import Observations, observations_of, ray_residua
 from jaxbundle.block.unknowns import Unknowns
 from jaxbundle.camera.collinearity import central_projection, photo_vector
 from jaxbundle.geometry import rotation
-from jaxbundle.normals.arrange import Order
+from jaxbundle.normals.plan.elimination_plan import Order
 
 
 class StepTaken(NamedTuple):

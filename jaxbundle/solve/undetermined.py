@@ -20,11 +20,10 @@ from jaxbundle.block.block import Block, Structure
 from jaxbundle.block.findings import Finding, Kind, Subject
 from jaxbundle.block.parts import parts_of
 from jaxbundle.block.wording import named
-from jaxbundle.normals.arrange import Arranged, Arrangement, Problem
 from jaxbundle.normals.inspection import WEAKEST_SHARE, Inspection, reduced_products
-from jaxbundle.normals.kept_vector import KeptVector
+from jaxbundle.normals.plan.elimination_plan import EliminationPlan
+from jaxbundle.normals.problem import NormalVector, OrderedUnknowns, Problem, ReducedVector
 from jaxbundle.normals.reduced_system import ReducedSystem
-from jaxbundle.normals.vector import NormalVector
 from jaxbundle.numerics.compilation import Compiled
 from jaxbundle.numerics.host import on_device, on_host
 from jaxbundle.numerics.shapes import grid_size
@@ -55,9 +54,9 @@ class End(NamedTuple):
     """Where an adjustment ended: the adjusted block; plan, observations and unknowns about `origin`."""
 
     block: Block
-    plan: Arrangement
+    plan: EliminationPlan
     problem: Problem
-    arranged: Arranged
+    arranged: OrderedUnknowns
     origin: Float[np.ndarray, "3"]
 
 
@@ -71,11 +70,11 @@ class Scaled(NamedTuple):
 
     def product(self, x: Float[np.ndarray, "kept k"]) -> Float[np.ndarray, "kept k"]:
         """S x."""
-        if self.end.plan.shape.implicit:
+        if self.end.plan.layout.implicit:
             return self._by_passes(x)
         system, (images, d) = self.system, self.system.diagonal.shape
         used = self.pair[:, 0] < images
-        (i, j), blocks = self.pair[used].T, np.asarray(system.pool)[used]
+        (i, j), blocks = self.pair[used].T, np.asarray(system.pairs)[used]
         at, border = x[: images * d].reshape(images, d, -1), x[images * d :]
         coupling = np.asarray(system.coupling)
         out = np.einsum("idb,bk->idk", coupling, border)
@@ -90,7 +89,7 @@ class Scaled(NamedTuple):
         images, d = self.system.diagonal.shape
         padded = np.zeros((grid_size(x.shape[1]), len(x)))
         padded[: x.shape[1]] = x.T
-        vectors = KeptVector(
+        vectors = ReducedVector(
             on_device(padded[:, : images * d].reshape(-1, images, d)), on_device(padded[:, images * d :])
         )
         found = _reduced_products(self.end.arranged, self.end.problem, vectors, optimised=False)
@@ -112,7 +111,7 @@ def undetermined(end: End, found: Inspection, converged: bool) -> Undetermined:
     if np.all(kept > WEAKEST_SHARE) and not soft:
         return Undetermined(loose, loose_directions) if converged else Undetermined()
     scaled = _scaled(found.system, end)
-    finite = np.isfinite(np.asarray(found.system.pool)[scaled.pair[:, 0] < scaled.system.diagonal.shape[0]]).all()
+    finite = np.isfinite(np.asarray(found.system.pairs)[scaled.pair[:, 0] < scaled.system.diagonal.shape[0]]).all()
     gauge, findings, directions = np.zeros((len(scaled.root), 0)), [], 0
     if finite and np.isfinite(scaled.root).all():
         gauge, findings = _gauge(end, scaled, converged)
@@ -123,10 +122,10 @@ def undetermined(end: End, found: Inspection, converged: bool) -> Undetermined:
     return Undetermined(tuple(findings), directions)
 
 
-def _loose_points(structure: Structure, plan: Arrangement, found: Inspection) -> tuple[tuple[Finding, ...], int]:
+def _loose_points(structure: Structure, plan: EliminationPlan, found: Inspection) -> tuple[tuple[Finding, ...], int]:
     """Points that their own rays do not determine, one finding for all."""
     shares = np.ones(plan.order.points)
-    shares[: plan.places] = on_host(found.point_pivots).ravel()
+    shares[: plan.tile_points] = on_host(found.point_pivots).ravel()
     names = [structure.point_names[p] for p in np.nonzero(~(shares[plan.order.point] > WEAKEST_SHARE))[0]]
     if not names:
         return (), 0
@@ -139,18 +138,16 @@ def _loose_points(structure: Structure, plan: Arrangement, found: Inspection) ->
 def _scaled(system: ReducedSystem, end: End) -> Scaled:
     free = np.concatenate([np.asarray(system.free).ravel(), np.asarray(system.border_free)])
     diagonal = np.concatenate([np.asarray(system.diagonal).ravel(), np.asarray(system.border_diagonal)])
-    return Scaled(
-        system, np.asarray(end.plan.reduced.pair), np.sqrt(np.where(free & (diagonal > 0), diagonal, 0.0)), end
-    )
+    return Scaled(system, end.plan.reduced.padded_pairs, np.sqrt(np.where(free & (diagonal > 0), diagonal, 0.0)), end)
 
 
 @Compiled
-def _reduced_products(arranged: Arranged, p: Problem, vectors: KeptVector) -> KeptVector:
+def _reduced_products(arranged: OrderedUnknowns, p: Problem, vectors: ReducedVector) -> ReducedVector:
     return reduced_products(arranged, p, vectors)
 
 
 @Compiled
-def _similarities(arranged: Arranged, p: Problem) -> NormalVector:
+def _similarities(arranged: OrderedUnknowns, p: Problem) -> NormalVector:
     return similarities(arranged, p, 7)
 
 
@@ -167,14 +164,14 @@ def _gauge(end: End, scaled: Scaled, converged: bool) -> tuple[Float[np.ndarray,
     if len(parts) == 1:
         gauge = Gauge(own[:7], (own[:7],), parts, end.origin, radius)
         return _orthonormal(scaled, whole, own, plan), gauge_findings(end.block, gauge)
-    columns, d = [], plan.shape.image
+    columns, d = [], plan.layout.image
     for part in parts:
         mask = np.zeros(len(whole))
         rows = d * plan.order.image[part.images][:, None] + np.arange(d)
         mask[rows] = 1.0
         places = plan.order.point[np.setdiff1d(part.points, part.common)]
-        kept = places[places >= plan.places] - plan.places
-        at = len(whole) - of_border.shape[1] + plan.shape.first_kept_point + 3 * kept[:, None] + np.arange(3)
+        in_border = places[places >= plan.tile_points] - plan.tile_points
+        at = len(whole) - of_border.shape[1] + plan.layout.point_rows(in_border)
         mask[at] = 1.0
         columns.append(whole * mask[:, None])
     both = np.concatenate(columns, 1)
@@ -189,21 +186,21 @@ def _gauge(end: End, scaled: Scaled, converged: bool) -> tuple[Float[np.ndarray,
     return _orthonormal(scaled, both, combined, plan), gauge_findings(end.block, gauge)
 
 
-def _with_own(candidates: Float[np.ndarray, "kept k"], plan: Arrangement) -> Float[np.ndarray, "kept m"]:
+def _with_own(candidates: Float[np.ndarray, "kept k"], plan: EliminationPlan) -> Float[np.ndarray, "kept m"]:
     """The candidates, and unit columns of what may follow them: parameters and kept points of the block."""
-    first = plan.shape.image * plan.order.images + plan.shape.first_parameter
+    first = plan.layout.image * plan.order.images + plan.layout.first_parameter
     extra = np.zeros((len(candidates), len(candidates) - first))
     extra[first + np.arange(extra.shape[1]), np.arange(extra.shape[1])] = 1.0
     return np.concatenate([candidates, extra], 1)
 
 
 def _null_combinations(
-    scaled: Scaled, candidates: Float[np.ndarray, "kept k"], plan: Arrangement
+    scaled: Scaled, candidates: Float[np.ndarray, "kept k"], plan: EliminationPlan
 ) -> Float[np.ndarray, "m direction"]:
     """Coefficients of the candidates, and of what may follow them, that leave all observations alone."""
     x = _with_own(candidates, plan)
     real = np.ones(len(x), bool)
-    d, images = plan.shape.image, plan.order.images
+    d, images = plan.layout.image, plan.order.images
     real[: d * images] = np.repeat(np.isin(np.arange(images), plan.order.image), d)
     free = scaled.root > 0
     lengths = np.linalg.norm(x * real[:, None], axis=0)
@@ -223,7 +220,10 @@ def _null_combinations(
 
 
 def _orthonormal(
-    scaled: Scaled, candidates: Float[np.ndarray, "kept k"], null: Float[np.ndarray, "m direction"], plan: Arrangement
+    scaled: Scaled,
+    candidates: Float[np.ndarray, "kept k"],
+    null: Float[np.ndarray, "m direction"],
+    plan: EliminationPlan,
 ) -> Float[np.ndarray, "kept direction"]:
     if not null.shape[1]:
         return np.zeros((len(candidates), 0))
@@ -232,7 +232,7 @@ def _orthonormal(
 
 
 def _others(
-    structure: Structure, plan: Arrangement, scaled: Scaled, found: Inspection, gauge: Float[np.ndarray, "kept g"]
+    structure: Structure, plan: EliminationPlan, scaled: Scaled, found: Inspection, gauge: Float[np.ndarray, "kept g"]
 ) -> tuple[list[Finding], int]:
     """Directions beside those of similarity transformations, by the unknowns that move."""
     names, count = kept_names(structure, plan), len(scaled.root)
@@ -282,10 +282,10 @@ def _by_cause(null: Float[np.ndarray, "kept direction"], names: dict[int, tuple[
     return found
 
 
-def kept_names(structure: Structure, a: Arrangement) -> dict[int, tuple[str, str, str]]:
+def kept_names(structure: Structure, a: EliminationPlan) -> dict[int, tuple[str, str, str]]:
     """Kind of entity, its name and the element of every kept unknown, by its row in the order of elimination."""
     names = {}
-    d, q = a.shape.image, len(structure.interior_columns)
+    d, q = a.layout.image, len(structure.interior_columns)
     border = d * a.order.images
     for name, row in zip(structure.image_names, a.order.image, strict=True):
         for k, element in enumerate(structure.exterior_elements):
@@ -296,9 +296,9 @@ def kept_names(structure: Structure, a: Arrangement) -> dict[int, tuple[str, str
             at = d * int(row) + 6 + j if d > 6 else border + q * int(row) + j
             names[at] = ("camera", camera.name, element)
     for k, parameter in enumerate(structure.parameters):
-        names[border + a.shape.first_parameter + k] = ("parameter", parameter.name, "")
-    for k, p in enumerate(a.kept):
+        names[border + a.layout.first_parameter + k] = ("parameter", parameter.name, "")
+    for k, p in enumerate(a.border_points):
         for c, letter in enumerate("XYZ"):
-            row = border + a.shape.first_kept_point + 3 * k + c
+            row = border + a.layout.first_point + 3 * k + c
             names[row] = ("point", structure.point_names[p], letter)
     return names

@@ -15,7 +15,7 @@ from jaxtyping import Array, Bool, Float, Int
 from jaxbundle.block.block import Block, Structure
 from jaxbundle.block.residuals import Observations, observations_of
 from jaxbundle.block.unknowns import Unknowns, angle_derivatives, unknowns_of
-from jaxbundle.normals.inverse_factor import inverse_factor
+from jaxbundle.normals.cholesky import inverse_factor
 from jaxbundle.numerics.compilation import Compiled
 from jaxbundle.numerics.host import on_device
 from jaxbundle.solve.adjustment import Adjustment

@@ -27,9 +27,10 @@ from jaxbundle.block.block import Block
 from jaxbundle.block.datum import with_datum
 from jaxbundle.block.residuals import Observations, observations_of
 from jaxbundle.block.unknowns import Unknowns, unknowns_of
-from jaxbundle.normals.arrange import Arranged, Problem, arrange, arranged_unknowns, problem
-from jaxbundle.normals.solution import solve_normals
-from jaxbundle.normals.vector import NormalVector, arranged_vectors
+from jaxbundle.normals.from_block import ordered_vectors, problem, to_elimination_order
+from jaxbundle.normals.plan.elimination_plan import plan_elimination
+from jaxbundle.normals.problem import NormalVector, OrderedUnknowns, Problem
+from jaxbundle.normals.solve_normals import solve_normals
 from jaxbundle.numerics.compilation import RAYS_FOR_OPTIMISATION, Compiled
 from jaxbundle.numerics.host import on_device
 from jaxbundle.numerics.shapes import grid_size
@@ -116,17 +117,17 @@ def _explained_by_elimination(
 ) -> Float[np.ndarray, "column column"]:
     """(A^T C)^T N^-1 (A^T C) by the elimination of the points."""
     centres = np.asarray(block.exterior.projection_centre)
-    plan = arrange(block.structure, block.groups, centres, 1, "auto", True)
+    plan = plan_elimination(block.structure, block.groups, centres, 1)
     padded = [np.pad(x, [(0, grid_size(len(x)) - len(x)), *[(0, 0)] * (x.ndim - 1)]) for x in products]
-    rows = NormalVector(*map(on_device, arranged_vectors(plan, block.structure, *padded)))
+    rows = NormalVector(*map(on_device, ordered_vectors(plan, block.structure, *padded)))
     optimised = len(block.structure.ray_image) >= RAYS_FOR_OPTIMISATION
-    found = _explained(arranged_unknowns(plan, unknowns), problem(plan, centred), rows, optimised=optimised)
+    found = _explained(to_elimination_order(plan, unknowns), problem(plan, centred), rows, optimised=optimised)
     count = len(products[0])
     return np.asarray(found)[:count, :count]
 
 
 @Compiled
-def _explained(unknowns: Arranged, p: Problem, rows: NormalVector) -> Float[Array, "column column"]:
+def _explained(unknowns: OrderedUnknowns, p: Problem, rows: NormalVector) -> Float[Array, "column column"]:
     """(A^T C)^T N^-1 (A^T C)."""
     q = solve_normals(unknowns, p, rows)
     products = [jnp.einsum("fa,ga->fg", *(x.reshape(len(x), -1) for x in pair)) for pair in zip(rows, q, strict=True)]

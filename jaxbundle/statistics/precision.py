@@ -17,9 +17,10 @@ from jaxbundle.block.block import Block
 from jaxbundle.block.datum import with_datum
 from jaxbundle.block.given import require_a
 from jaxbundle.block.unknowns import angle_derivatives, unknowns_of
-from jaxbundle.normals.arrange import Arranged, Arrangement, Problem, arrange, arranged_unknowns, problem
-from jaxbundle.normals.solution import solve_normals
-from jaxbundle.normals.vector import NormalVector, arranged_vectors
+from jaxbundle.normals.from_block import ordered_vectors, problem, to_elimination_order
+from jaxbundle.normals.plan.elimination_plan import EliminationPlan, plan_elimination
+from jaxbundle.normals.problem import NormalVector, OrderedUnknowns, Problem
+from jaxbundle.normals.solve_normals import solve_normals
 from jaxbundle.numerics.compilation import RAYS_FOR_OPTIMISATION, Compiled
 from jaxbundle.numerics.host import on_device
 from jaxbundle.numerics.trial import first_line
@@ -70,8 +71,8 @@ def covariance_of(adjustment: Adjustment, function: Callable[[Block], Array]) ->
     block = with_datum(adjusted)
     centres = np.asarray(block.exterior.projection_centre)
     centred = block.moved(on_device(-centres.mean(0)))
-    plan = arrange(block.structure, block.groups, centres, 1, "auto", True)
-    args = arranged_unknowns(plan, unknowns_of(centred)), problem(plan, centred)
+    plan = plan_elimination(block.structure, block.groups, centres, 1)
+    args = to_elimination_order(plan, unknowns_of(centred)), problem(plan, centred)
     rows = _arranged_rows(plan, block, derivatives)
     inner = block.structure.datum.constraints
     carrying = carrying_places(block.structure, plan) if inner else None
@@ -132,7 +133,7 @@ def _share(values: np.ndarray) -> str:
 
 @Compiled
 def _cofactors(
-    unknowns: Arranged, p: Problem, rows: NormalVector, carrying: Float[Array, " place"] | None, constraints: int
+    unknowns: OrderedUnknowns, p: Problem, rows: NormalVector, carrying: Float[Array, " place"] | None, constraints: int
 ) -> Float[Array, "function function"]:
     """F Q F^T."""
     if carrying is not None:
@@ -143,14 +144,14 @@ def _cofactors(
     return (found + found.T) / 2
 
 
-def _arranged_rows(plan: Arrangement, block: Block, derivatives: Any) -> NormalVector:
+def _arranged_rows(plan: EliminationPlan, block: Block, derivatives: Any) -> NormalVector:
     """F in the order of elimination, by the angles of the corrections."""
     structure, unknowns = block.structure, unknowns_of(block)
     turned = np.asarray(angle_derivatives(unknowns.rotation, None, block.exterior.angles.T, structure.rotation_system))
     by_angles = np.einsum("fia,abi->fib", np.asarray(derivatives.exterior.angles), turned)
     by_centre = np.asarray(derivatives.exterior.projection_centre)
     by_interior = np.asarray(derivatives.interior.elements)[:, :, list(structure.interior_columns)]
-    rows = arranged_vectors(
+    rows = ordered_vectors(
         plan,
         structure,
         np.concatenate([by_centre, by_angles], 2),

@@ -25,15 +25,14 @@ from blocks import SIZES, write_block  # noqa: E402
 from parts_worker import arranged, parts_of  # noqa: E402
 
 from jaxbundle.io import read_bal  # noqa: E402
-from jaxbundle.normals.arrange import Problem  # noqa: E402
-from jaxbundle.normals.ordering import elimination_order, ranked_pairs  # noqa: E402
+from jaxbundle.normals.plan.elimination_order import elimination_order, ranked_pairs  # noqa: E402
 from jaxbundle.normals.panel_cholesky import PanelCholesky  # noqa: E402
-from jaxbundle.normals.ray_products import reduced_product  # noqa: E402
-from jaxbundle.normals.reduced_plan import panel_width  # noqa: E402
-from jaxbundle.normals.partition import local_tiles  # noqa: E402
+from jaxbundle.normals.normal_products import reduced_product  # noqa: E402
+from jaxbundle.normals.plan.reduced_plan import panel_width  # noqa: E402
+from jaxbundle.normals.problem import Problem  # noqa: E402
 from jaxbundle.normals.step import trial_step  # noqa: E402
-from jaxbundle.normals.substitute import image_values  # noqa: E402
-from jaxbundle.normals.symbolic import fill  # noqa: E402
+from jaxbundle.normals.chunks import BY_DEVICE, EVERYWHERE, over_devices  # noqa: E402
+from jaxbundle.normals.plan.panel_lists import fill  # noqa: E402
 
 REPETITIONS, D, FLOAT = 5, 6, 8
 CORES, NETWORK = 8, 1.25e9  # assumed: of a machine; bytes a second between two machines (10 Gbit/s)
@@ -52,10 +51,10 @@ class Constants(NamedTuple):
 
 
 class Factor(NamedTuple):
-    """Blocks of the pool; tiles that one device holds, and those of the separator, which are summed over all; flops of
+    """Blocks of image pairs; tiles that one device holds, and those of the separator, summed over all devices; flops of
     the longest way through the columns; rows of a tile."""
 
-    pool: int
+    pairs: int
     tiles: int
     summed: int
     flops: float
@@ -82,8 +81,8 @@ def solver_flops(p: Problem) -> float:
     """Of one factorisation as it is done."""
     cholesky = p.reduced.images
     assert isinstance(cholesky, PanelCholesky)
-    columns = cholesky.structure.separator
-    count, b = int(columns.count[0]), columns.block.shape[2] * p.shape.image
+    columns = cholesky.lists.separator
+    count, b = int(columns.count[0]), columns.block.shape[2] * p.layout.image
     return flops_of(np.diff(np.asarray(columns.first_below[0]))[:count], b)
 
 
@@ -94,21 +93,28 @@ def measured(path: Path) -> Constants:
     unknowns, p, damping = arranged(block, True)
     parts = parts_of(unknowns, p, damping)
     time_of = {name: seconds(part) for name, part in parts.items()}
-    _, _, factors = parts["linearise, eliminate"]()
-    values, tiles = image_values(unknowns.images, p.observations), local_tiles(p.tiles)
-    product = eqx.filter_jit(reduced_product)
-    per_product = seconds(lambda: product(p.observations, values, values, unknowns.tiles, factors, tiles, False))
+    linear, _, stored = parts["linearise, eliminate"]()
+    product = eqx.filter_jit(
+        lambda linear, stored: over_devices(
+            lambda linear, stored: linear.total(reduced_product(linear, linear.values, stored)),
+            linear,
+            EVERYWHERE,
+            (stored,),
+            (BY_DEVICE,),
+        )
+    )
+    per_product = seconds(lambda: product(linear, stored))
     step: Any = eqx.filter_jit(trial_step)
     memory = step.lower(unknowns, p, damping).compile().compiled.memory_analysis()
-    reduced = FLOAT * p.shape.image**2 * p.shape.pool
+    reduced = FLOAT * p.layout.image**2 * p.layout.pairs
     on_device = memory.argument_size_in_bytes + memory.output_size_in_bytes
     of_rays = time_of["linearise, eliminate"] + time_of["substitute"]
     by_pcg = seconds_by_conjugate_gradients(path)
     print(
-        f"{path.stem} images, {rays} rays, d = {p.shape.image}: step {time_of['step']:.3f} s"
+        f"{path.stem} images, {rays} rays, d = {p.layout.image}: step {time_of['step']:.3f} s"
         f" (rays {of_rays:.3f}, reduced {time_of['reduced solve']:.3f}), by conjugate gradients {by_pcg:.2f} s,"
         f" one product {per_product:.4f} s; arrays {on_device / 1e6:.0f} MB, temporary"
-        f" {memory.temp_size_in_bytes / 1e6:.0f} MB, of which pool {reduced / 1e6:.1f} MB a copy"
+        f" {memory.temp_size_in_bytes / 1e6:.0f} MB, of which the blocks of pairs {reduced / 1e6:.1f} MB a copy"
     )
     return Constants(
         of_rays / rays,
@@ -164,7 +170,7 @@ def iteration(c: Constants, f: Factor, images: int, rays: int, machines: int, so
     """Seconds of an iteration: rays, reduced equations, exchange between machines."""
     share = rays / (CORES * machines)
     if solver == "panels":
-        sent = FLOAT * (D * D * f.pool + f.summed * f.b**2)
+        sent = FLOAT * (D * D * f.pairs + f.summed * f.b**2)
         return c.ray * share, c.flop * f.flops, 2 * (machines - 1) / machines * sent / NETWORK
     sent = FLOAT * 15 * images * c.products
     return c.ray * share + c.products * c.product * share, 0.0, 2 * (machines - 1) / machines * sent / NETWORK
@@ -172,7 +178,7 @@ def iteration(c: Constants, f: Factor, images: int, rays: int, machines: int, so
 
 def memory(c: Constants, f: Factor, rays: int, machines: int, solver: str) -> tuple[float, float]:
     """Bytes on a machine: its devices' arrays, and the whole block, which every process reads and lays out."""
-    reduced = CORES * FLOAT * (2 * D * D * f.pool + f.tiles * f.b**2) if solver == "panels" else 0
+    reduced = CORES * FLOAT * (2 * D * D * f.pairs + f.tiles * f.b**2) if solver == "panels" else 0
     return c.ray_bytes * rays / machines + reduced, HOST_BYTES * rays
 
 

@@ -9,7 +9,7 @@ the same shape and the element-wise work on it is compiled once, whatever the tr
 
 Points are sorted along a space-filling curve through the bounding boxes of the projection centres that see them (Morton
 code of the box's four sides): points with equal boxes have nearly equal tracks. Points on more than SLOTS images have
-tiles of their own, see `long_tiles`.
+tiles of their own, see `long_tiling`.
 """
 
 from dataclasses import dataclass
@@ -22,7 +22,7 @@ from jaxbundle.numerics.shapes import grid_size
 
 SLOTS = 48
 CLASSES = (2, 3, 4, 6, 8, 12, 16, 24, 48)  # divisors of SLOTS
-MOST_TILES = SLOTS // CLASSES[0]  # a chunk's
+MAX_TILES = SLOTS // CLASSES[0]  # a chunk's
 CUTS = 4  # places where a tile may be cut in two, at a jump of the curve
 MORTON_BITS = 12
 CELLS_AT_ONCE = 200_000_000  # bounds the memory of the table of tiles and images
@@ -30,22 +30,26 @@ CELLS_AT_ONCE = 200_000_000  # bounds the memory of the table of tiles and image
 
 @dataclass(frozen=True)
 class Tiling:
-    """Tiles of some points. Every device has the same number of chunks and of tiles, the last of them empty.
-
-    `point_tile`: device, tile and column of a point. `tile_slots`: device, chunk, first slot and slots of a tile.
-    `slot_image`: rank, or `images` for an empty slot. `slot_tile`: tile within the device. `chunks`: how many are used.
-    `most_tiles`: a chunk's. `group`: so many neighbouring slots from a multiple of it on belong to one tile.
-    """
+    """Tiles of some points. Every device has the same number of chunks and of tiles, the last of them empty."""
 
     point_tile: Int[np.ndarray, "point 3"]
+    """Device, tile and column of each point."""
     tile_slots: Int[np.ndarray, "tile 4"]
+    """Device, chunk, first slot and number of slots of each tile."""
     slot_image: Int[np.ndarray, "device chunk slot"]
+    """Rank of the image, or the number of images for an empty slot."""
     slot_tile: Int[np.ndarray, "device chunk slot"]
+    """Tile within the device."""
     ray: Int[np.ndarray, "device chunk slot width"]
+    """Ray of each cell, -1 where there is none."""
     chunks: Int[np.ndarray, " device"]
+    """Number of chunks in use."""
     tiles: int
-    most_tiles: int
+    """Tiles of a device, padded."""
+    max_tiles: int
+    """Maximum number of tiles of a chunk."""
     group: int
+    """Size of the groups of neighbouring slots that belong to one tile."""
 
 
 def tile_width(rays: int) -> int:
@@ -186,7 +190,7 @@ def laid_out(
     entries: Entries,
     places: Places,
     shape: tuple[int, int, int],
-    most_tiles: int,
+    max_tiles: int,
     group: int,
 ) -> Tiling:
     """Slots and cells of all tiles; `tile` of every position along the curve, `shape` of devices, chunks and slots."""
@@ -212,8 +216,8 @@ def laid_out(
         slot_tile,
         ray,
         places.chunks,
-        grid_size(int(places.number.max()) + 1 + most_tiles),  # a chunk is handled as if it had most tiles
-        most_tiles,
+        grid_size(int(places.number.max()) + 1 + max_tiles),  # a chunk is handled as if it had most tiles
+        max_tiles,
         group,
     )
 
@@ -242,4 +246,4 @@ def tiling(
         entries = number_images(tile[of_ray], image, images, int(tile[-1]) + 1)
     places = _deal(np.searchsorted(CLASSES, entries.counts), devices)
     shape = devices, grid_size(int(places.chunks.max())), SLOTS
-    return laid_out(tile, position, point, images, width, entries, places, shape, MOST_TILES, 1)
+    return laid_out(tile, position, point, images, width, entries, places, shape, MAX_TILES, 1)

@@ -1,4 +1,4 @@
-"""What the plan reads off who sees what: points that are kept, images joined by an observation, what fills a slot."""
+"""What the plan reads off who sees what: points of the border, images joined by an observation, what fills a slot."""
 
 from typing import NamedTuple
 
@@ -7,7 +7,7 @@ from jaxtyping import Bool, Float, Int
 
 from jaxbundle.block.block import Structure
 from jaxbundle.block.observations import ObservationGroup
-from jaxbundle.normals.tiles import SLOTS
+from jaxbundle.normals.plan.tiling import SLOTS
 
 BORDER_SHARE = 0.1  # of the images' unknowns: so much of a border costs less than the matrix it keeps sparse
 
@@ -23,7 +23,7 @@ class Views(NamedTuple):
     centre: Float[np.ndarray, "view 3"]
 
 
-def kept_points(structure: Structure, groups: tuple[ObservationGroup, ...]) -> Bool[np.ndarray, " point"]:
+def border_points(structure: Structure, groups: tuple[ObservationGroup, ...]) -> Bool[np.ndarray, " point"]:
     """Points that cannot be eliminated one by one, since they share an observation, or better are not.
 
     The second are points without rays, and a few points on very many images, which would fill the reduced matrix. Tiles

@@ -10,17 +10,23 @@ from jax import lax
 from jaxtyping import Array, Float, Int
 
 from jaxbundle.block.residuals import Observations, group_residuals, weighted
-from jaxbundle.normals.arrange import Arranged, Problem
-from jaxbundle.normals.cells import Tiles
-from jaxbundle.normals.partition import EVERYWHERE, OF_TILES, local_tiles, problem_parts
+from jaxbundle.normals.chunks import (
+    EVERYWHERE,
+    OF_TILES,
+    Image,
+    image_table,
+    is_used,
+    problem_parts,
+    split_values,
+)
+from jaxbundle.normals.problem import OrderedUnknowns, Problem, Tiles
 from jaxbundle.normals.rows import image_equation
-from jaxbundle.normals.substitute import image_values, split_values
 from jaxbundle.numerics.devices import AXIS, device_mesh
 
 
-def cost(unknowns: Arranged, p: Problem) -> Float[Array, ""]:
+def cost(unknowns: OrderedUnknowns, p: Problem) -> Float[Array, ""]:
     """v^T P v / 2."""
-    values, others = image_values(unknowns.images, p.observations), other_residuals(unknowns, p)
+    values, others = image_table(unknowns.images, None, p.observations), other_residuals(unknowns, p)
     rest = 0.5 * sum((jnp.sum(v * v) for v in others), jnp.zeros(()))
     if p.devices == 1:
         return _cost_of_tiles(p, values, unknowns.tiles) + rest
@@ -41,7 +47,7 @@ def cost(unknowns: Arranged, p: Problem) -> Float[Array, ""]:
 def _cost_of_tiles(
     p: Problem, values: Float[Array, "image number"], points: Float[Array, "3 tile column"]
 ) -> Float[Array, ""]:
-    """Of the rays of one device."""
+    """v^T P v / 2 of the rays of one device, whose tiles have a leading device axis of length 1."""
     total = jnp.zeros(())
 
     @jax.checkpoint
@@ -49,44 +55,48 @@ def _cost_of_tiles(
         numbers: Float[Array, "slot number"],
         window: Float[Array, "3 tile column"],
         tile: Int[Array, " slot"],
-        measured: Float[Array, "2 slot column"],
-        weights: Float[Array, "2 slot column"],
+        measured: Float[Array, "measured slot column"],
+        weights: Float[Array, "component slot column"],
     ) -> Float[Array, ""]:
         image = split_values([numbers[:, k, None] for k in range(numbers.shape[1])])
         x, y, z = (jnp.take(coordinate, tile, axis=0, mode="clip") for coordinate in window)
         v = _residuals(p.observations, image, (x, y, z), measured, weights, tile[0])
-        return 0.5 * (jnp.sum(v[0] * v[0]) + jnp.sum(v[1] * v[1]))
+        return 0.5 * sum((jnp.sum(r * r) for r in v), jnp.zeros(()))
 
-    for part in local_tiles(p.tiles):
+    for part in p.tiles:
+        slot_image, slot_tile, measured, weights = (
+            x[0] for x in (part.slot_image, part.slot_tile, part.measured, part.weights)
+        )
         # what a chunk needs is laid out before: a derivative by all images or points a chunk would be summed each time
-        window = jnp.moveaxis(points.at[:, _tiles_of_chunks(part)].get(mode="clip"), 0, 1)
-        tile = part.slot_tile - part.slot_tile[:, :1]
-        chunks = values[part.slot_image], window, tile, part.measured, part.weights
+        window = jnp.moveaxis(points.at[:, _tiles_of_chunks(slot_tile, part)].get(mode="clip"), 0, 1)
+        chunks = values[slot_image], window, slot_tile - slot_tile[:, :1], measured, weights
         total, _ = lax.scan(lambda sum_, chunk: (sum_ + of_chunk(*chunk), None), total, chunks)
     return total
 
 
-def _tiles_of_chunks(part: Tiles) -> Int[Array, "chunk tile"]:
-    return part.slot_tile[:, :1] + jnp.arange(part.most_tiles)
+def _tiles_of_chunks(slot_tile: Int[Array, "chunk slot"], part: Tiles) -> Int[Array, "chunk tile"]:
+    return slot_tile[:, :1] + jnp.arange(part.max_tiles)
 
 
-def other_residuals(unknowns: Arranged, p: Problem) -> list[Array]:
-    """Weighted residuals of everything but the cells: rays of kept points, and observations that are no rays."""
-    residuals, rays, o = [], p.kept_rays, p.observations
-    if rays.image.shape[0]:
+def other_residuals(unknowns: OrderedUnknowns, p: Problem) -> list[Array]:
+    """Weighted residuals of everything but the cells: rays of border points, and groups of other observations."""
+    residuals, rays, o = [], p.border_rays, p.observations
+    if rays:
         u = unknowns.images
-        image = tuple(u.rotation[:, rays.image]), tuple(u.centre[:, rays.image])
         interior = tuple(u.interior[:, o.image_camera[rays.image]])
-        residuals += _residuals(o, (*image, interior), tuple(u.points[:, rays.point]), rays.measured, rays.weights)
+        centre = u.centre[:, rays.image]
+        image = tuple(u.rotation[:, rays.image]), (centre[0], centre[1], centre[2]), interior
+        residuals += _residuals(o, image, tuple(u.points[:, rays.point]), rays.measured, rays.weights)
     if o.groups:
         flat = unknowns.flat()
         residuals += [weighted(group_residuals(flat, group), group) for group in o.groups]
     return residuals
 
 
-def weighted_residuals(unknowns: Arranged, p: Problem) -> list[Array]:
-    """Weighted residuals of all observations; cells first, two arrays a part, 0 where there is no ray."""
-    values, cells = image_values(unknowns.images, p.observations), []
+def weighted_residuals(unknowns: OrderedUnknowns, p: Problem) -> list[Array]:
+    """Weighted residuals of all observations; cells first, one array per component and part, 0 where there is no
+    ray."""
+    values, cells = image_table(unknowns.images, None, p.observations), []
     first = unknowns.tiles.shape[1] // p.devices * jnp.arange(p.devices)[:, None, None]
     for part in p.tiles:
         number = jnp.moveaxis(values[part.slot_image], -1, 0)[..., None]
@@ -96,9 +106,22 @@ def weighted_residuals(unknowns: Arranged, p: Problem) -> list[Array]:
     return [*cells, *other_residuals(unknowns, p)]
 
 
+def ray_arrays(p: Problem) -> int:
+    """How many of the arrays of `weighted_residuals` belong to rays; the others belong to the groups."""
+    return p.observations.model.components * (len(p.tiles) + bool(p.border_rays))
+
+
+def rounding_noise(p: Problem) -> Float[Array, ""]:
+    """v^T P v / 2 of residuals that are nothing but rounding: a few operations on the measured numbers."""
+    eps = 4 * jnp.finfo(p.border_rays.measured.dtype).eps
+    rays = [(t.measured, t.weights, 2) for t in p.tiles] + [(p.border_rays.measured, p.border_rays.weights, 0)]
+    squares = [jnp.sum((lax.slice_in_dim(m, 0, w.shape[axis], axis=axis) * w) ** 2) for m, w, axis in rays]
+    return 0.5 * eps**2 * sum(squares, jnp.zeros(()))
+
+
 def _residuals(
     o: Observations,
-    image: tuple,
+    image: Image,
     points: tuple[Array, ...],
     measured: Array,
     weights: Array,
@@ -106,8 +129,7 @@ def _residuals(
 ) -> list[Array]:
     """Weighted residuals of rays. One without weight gets a point in front of its camera: derivatives stay finite."""
     rotation, centre, interior = image
-    used = (weights[0] > 0) | (weights[1] > 0)
     ahead = [x - r for x, r in zip(centre, rotation[2::3], strict=True)]
-    x, y, z = (jnp.where(used, x, a) for x, a in zip(points, ahead, strict=True))
-    v = image_equation(o.model, rotation, centre, interior, (x, y, z), (measured[0], measured[1]), zero)
+    x, y, z = (jnp.where(is_used(weights), x, a) for x, a in zip(points, ahead, strict=True))
+    v = image_equation(o.model, rotation, centre, interior, (x, y, z), tuple(measured), zero)
     return [r * w for r, w in zip(v, weights, strict=True)]

@@ -5,7 +5,7 @@ with the panels R_J below it in its column changes every tile (A, B), A >= B, bo
 
     L_AB <- L_AB - L_AJ L_BJ^T,    so (A, B) becomes a tile of the pattern if it was none.
 
-The tiles and products of every column are listed here once a block, the device only runs down the lists. With two
+The tiles and products of each column are listed here once per structure, the device only runs down the lists. With two
 devices each has the columns of one end of the band and the separator, and its own numbers of panels and tiles:
 
     panels   end's columns, padding | separator's columns, padding
@@ -14,42 +14,43 @@ devices each has the columns of one end of the band and the separator, and its o
 All lists are padded to lengths on a geometric grid, so that a block of similar size runs in the same program.
 """
 
-from typing import NamedTuple
+from typing import Any, NamedTuple
 
-import equinox as eqx
-import jax.numpy as jnp
 import numpy as np
-from jaxtyping import Array, Bool, Int
+from jaxtyping import Bool, Int
 
-from jaxbundle.normals.ordering import Order
-from jaxbundle.numerics.host import on_device
+from jaxbundle.normals.plan.elimination_order import Order
 from jaxbundle.numerics.shapes import grid_size
 
 
-class Columns(eqx.Module):
-    """Panels eliminated one after the other. `below`: (tile, panel of its row); `update`: tiles (A, J), (B, J), (A, B).
+class PanelColumns(NamedTuple):
+    """Panels that are eliminated one after the other; numpy arrays in the plan, JAX arrays in a program."""
 
-    The updates of a column begin with those of diagonal tiles, A = B, one for each tile below. `block`: the pool's
-    block at every place of every tile, the last one (0) where there is none.
-    """
+    count: Int[Any, " part"]
+    """Number of panels."""
+    first_below: Int[Any, "part offset"]
+    """Where the tiles below each panel begin in `below`."""
+    below: Int[Any, "part below 2"]
+    """Tile, and panel of its row."""
+    first_update: Int[Any, "part offset"]
+    """Where the updates of each panel begin in `update`."""
+    update: Int[Any, "part update 3"]
+    """Tiles (A, J), (B, J), (A, B); those of diagonal tiles, A = B, come first, one for each tile below."""
+    block: Int[Any, "part tile q q"]
+    """Block of the image pair at each position of each tile; the last block (0) where there is none."""
 
-    count: Int[Array, " part"]
-    first_below: Int[Array, "part offset"]
-    below: Int[Array, "part below 2"]
-    first_update: Int[Array, "part offset"]
-    update: Int[Array, "part update 3"]
-    block: Int[Array, "part tile q q"]
 
+class PanelLists(NamedTuple):
+    """The lists of each device; all devices beyond the second have those of the third."""
 
-class PanelStructure(eqx.Module):
-    """The lists of every device; all beyond the second have the third one's. `position`: panel q + place of an image;
-    `pair_place`: tile, row and column in it of a pool block; both beyond the end where another device answers for them,
-    or where there is none."""
-
-    ends: Columns | None
-    separator: Columns
-    position: Int[Array, "part image"]
-    pair_place: Int[Array, "part block 3"]
+    ends: PanelColumns | None
+    """One end of the band."""
+    separator: PanelColumns
+    """What both ends share."""
+    position: Int[Any, "part image"]
+    """Panel times q plus the position in it of an image; beyond the end where another device has it."""
+    pair_place: Int[Any, "part pair 3"]
+    """Tile, row and column of a pair's block; beyond the end where another device has it, or where there is none."""
 
 
 class _Lists(NamedTuple):
@@ -117,18 +118,18 @@ def _lists(tiles: np.ndarray, columns: np.ndarray, number: np.ndarray, panel_num
     return _Lists(len(columns), first_below, np.concatenate(below), first_update, np.concatenate(update))
 
 
-def _padded(arrays: list, length: int, value: int = 0) -> Array:
+def _padded(arrays: list, length: int, value: int = 0) -> Int[np.ndarray, "part length *rest"]:
     """Arrays of several parts stacked, each filled up with `value` along its first axis."""
     out = [np.full((length, *np.shape(a)[1:]), value, np.int32) for a in arrays]
     for padded, a in zip(out, arrays, strict=True):
         padded[: len(a)] = a
-    return on_device(np.stack(out))
+    return np.stack(out)
 
 
-def _columns(lists: list[_Lists], blocks: list[np.ndarray], columns: int, tiles: int, waste: int) -> Columns:
+def _columns(lists: list[_Lists], blocks: list[np.ndarray], columns: int, tiles: int, waste: int) -> PanelColumns:
     """The padded lists of all parts."""
-    return Columns(
-        on_device([s.columns for s in lists], jnp.int32),
+    return PanelColumns(
+        np.array([s.columns for s in lists], np.int32),
         _padded([s.first_below for s in lists], columns + 1),
         _padded([s.below for s in lists], list_grid(max(len(s.below) for s in lists))),
         _padded([s.first_update for s in lists], columns + 1),
@@ -138,11 +139,11 @@ def _columns(lists: list[_Lists], blocks: list[np.ndarray], columns: int, tiles:
 
 
 def symbolic(
-    pairs: Int[np.ndarray, "pair 2"], order: Order, q: int, devices: int, images: int, pool: int
-) -> PanelStructure:
-    """Lists of the factorisation. `pairs` in ranks, i >= j; `images`, `pool`: padded numbers of images and of blocks.
+    pairs: Int[np.ndarray, "pair 2"], order: Order, q: int, devices: int, images: int, blocks: int
+) -> PanelLists:
+    """Lists of the factorisation. `pairs` in ranks, i >= j; `images`, `blocks`: padded numbers of images and of blocks.
 
-    The last block of the pool belongs to no pair.
+    The last block belongs to no pair.
     """
     panel, place, parts = _panels(order, q)
     of_pair = panel[pairs]
@@ -156,7 +157,7 @@ def symbolic(
     tile_count = end_tiles + tile_grid(tiles_of[-1])
     panel_count = end_panels + columns
 
-    lists, blocks, positions, pair_places = [], [], [], []
+    lists, block_at, positions, pair_places = [], [], [], []
     for g, own in enumerate(ends or [parts[0]]):
         number, panel_number = np.full(tiles.shape, -1), np.full(len(tiles), panel_count)
         used = _number(tiles, own, 0, number), _number(tiles, parts[2], end_tiles, number)
@@ -166,13 +167,13 @@ def symbolic(
         answers = np.isin(of_pair[:, 1], own) | (g == 0) & np.isin(of_pair[:, 1], parts[2])
         tile = np.where(answers, number[of_pair[:, 0], of_pair[:, 1]], tile_count)
         pair_places.append(np.stack([tile, place[pairs[:, 0]], place[pairs[:, 1]]], 1))
-        block = np.full((tile_count + 1, q, q), pool - 1)
+        block = np.full((tile_count + 1, q, q), blocks - 1)
         block[tuple(pair_places[-1].T)] = np.arange(len(pairs))
-        blocks.append((block[: used[0]], block[end_tiles : end_tiles + used[1]]))
+        block_at.append((block[: used[0]], block[end_tiles : end_tiles + used[1]]))
         positions.append(np.where(panel_number[panel] < panel_count, panel_number[panel] * q + place, panel_count * q))
-    return PanelStructure(
-        _columns([s for s, _ in lists], [b for b, _ in blocks], columns, end_tiles, pool - 1) if split else None,
-        _columns([s for _, s in lists], [b for _, b in blocks], columns, tile_count - end_tiles, pool - 1),
+    return PanelLists(
+        _columns([s for s, _ in lists], [b for b, _ in block_at], columns, end_tiles, blocks - 1) if split else None,
+        _columns([s for _, s in lists], [b for _, b in block_at], columns, tile_count - end_tiles, blocks - 1),
         _padded(positions, images, panel_count * q),
-        _padded(pair_places, pool, tile_count),
+        _padded(pair_places, blocks, tile_count),
     )

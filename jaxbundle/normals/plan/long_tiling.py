@@ -11,7 +11,7 @@ tiles of all others as large. Points are joined to a tile where that makes fewer
 import numpy as np
 from jaxtyping import Float, Int
 
-from jaxbundle.normals.tiles import SLOTS, Places, Tiling, laid_out, number_images, positions_along_curve
+from jaxbundle.normals.plan.tiling import SLOTS, Places, Tiling, laid_out, number_images, positions_along_curve
 from jaxbundle.numerics.shapes import grid_size
 
 GROUP = 32  # slots; a product is then large enough to be fast, and its temporaries stay in the cache
@@ -83,5 +83,5 @@ def long_tiling(
     capacity = padded_groups(int(groups.max()))
     places = _packed(groups, capacity, devices)
     shape = devices, grid_size(int(places.chunks.max()), 4), capacity * GROUP
-    most_tiles = capacity // FEWEST_GROUPS
-    return laid_out(tile, position, point, images, width, entries, places, shape, most_tiles, GROUP)
+    max_tiles = capacity // FEWEST_GROUPS
+    return laid_out(tile, position, point, images, width, entries, places, shape, max_tiles, GROUP)

@@ -69,7 +69,7 @@ def _unique_pairs(pairs: Int[np.ndarray, "all 2"], images: int) -> Int[np.ndarra
 
 
 def ranked_pairs(pairs: Int[np.ndarray, "pair 2"], rank: Int[np.ndarray, " image"]) -> Int[np.ndarray, "pair 2"]:
-    """The pairs (i, j), i >= j, in ranks, sorted: the order of the pool."""
+    """The pairs (i, j), i >= j, in ranks, sorted: the order of the blocks."""
     return _unique_pairs(np.sort(rank[pairs], 1)[:, ::-1], len(rank))
 
 

@@ -1,15 +1,19 @@
-"""Inverse of the Cholesky factor of one symmetric matrix, A = L L^T -> L^-1, in plain lax.
+"""Dense Cholesky factorisation in plain lax: the inverse factor of one symmetric matrix, and with it a small block.
+
+    A = L L^T,    W = L^-1:        L^-1 r = W r,    L^-T y = W^T y,    A^-1 = W^T W
 
 Eliminating [A | I] by panels of s rows turns the right half into L^-1:
 
-    C = L_kk^-1,   P = A_k C^T below the panel,   W_k <- C W_k,   W <- W - P W_k,   A <- A - P P^T.
+    C = L_kk^-1,   P = A_k C^T below the panel,   W_k <- C W_k,   W <- W - P W_k,   A <- A - P P^T
 
 LAPACK is not called: its threads and XLA's fight for the same cores.
 """
 
 import jax.numpy as jnp
 from jax import lax
-from jaxtyping import Array, Float
+from jaxtyping import Array, Float, Int
+
+from jaxbundle.normals.image_factor import AbstractImageFactor
 
 PANEL = 16
 
@@ -51,3 +55,36 @@ def _small(matrix: Float[Array, "s s"]) -> Float[Array, "s s"]:
         return lax.dynamic_update_slice_in_dim(t, pivot_row, j, 0)
 
     return lax.fori_loop(0, size, eliminate, jnp.concatenate([matrix, jnp.eye(size)], 1))[:, size:]
+
+
+Inverse = Float[Array, "n n"]
+
+
+class DenseCholesky(AbstractImageFactor[Inverse]):
+    """Dense; every device does the same. The factor is L^-1."""
+
+    pair: Int[Array, "pair 2"]
+    """Images of each block; the number of images where a block is not in use."""
+    image: Int[Array, " image"]
+    """Numbers of the images."""
+
+    def factorise(self, pairs: Float[Array, "pair d d"]) -> Inverse:
+        images, d = self.image.shape[0], pairs.shape[1]
+        row, column = self.pair.T
+        lower = jnp.zeros((images, d, images, d)).at[row, :, column].set(pairs, mode="drop")
+        lower = jnp.tril(lower.reshape(images * d, images * d))
+        empty = jnp.ones(images).at[row].set(0.0, mode="drop")
+        return inverse_factor(lower + jnp.tril(lower, -1).T + jnp.diag(jnp.repeat(empty, d)))
+
+    def pivots(self, factor: Inverse, images: int, d: int) -> Float[Array, "image d"]:
+        return (1 / jnp.diagonal(factor) ** 2).reshape(images, d)
+
+    def forward(self, factor: Inverse, right: Float[Array, "image d k"]) -> Float[Array, "image d k"]:
+        return (factor @ right.reshape(factor.shape[0], -1)).reshape(right.shape)
+
+    def backward(self, factor: Inverse, right: Float[Array, "image d k"]) -> Float[Array, "image d k"]:
+        return (factor.T @ right.reshape(factor.shape[0], -1)).reshape(right.shape)
+
+    def selected_inverse(self, factor: Inverse, d: int) -> Float[Array, "pair d d"]:
+        z = (factor.T @ factor).reshape(-1, d, factor.shape[0] // d, d)
+        return z.at[self.pair[:, 0], :, self.pair[:, 1]].get(mode="fill", fill_value=0.0)

@@ -1,0 +1,232 @@
+"""Where numpy and JAX meet: a block and its plan become a `Problem`, unknowns are put in order and back.
+
+Concrete values are laid out by numpy, which compiles nothing; traced ones by JAX. Everything behind this file is JAX.
+"""
+
+from functools import partial
+from typing import Any
+
+import jax
+import jax.numpy as jnp
+import numpy as np
+from jaxtyping import Array, Bool, Float, Int
+
+from jaxbundle.block.block import Block, Structure
+from jaxbundle.block.residuals import Observations, group_arrays
+from jaxbundle.block.unknowns import Unknowns, corrected_in_angles
+from jaxbundle.normals.cholesky import DenseCholesky
+from jaxbundle.normals.panel_cholesky import PanelCholesky
+from jaxbundle.normals.plan.elimination_plan import EliminationPlan, Part
+from jaxbundle.normals.plan.layout import EXTERIOR
+from jaxbundle.normals.plan.reduced_plan import ReducedPlan
+from jaxbundle.normals.problem import BorderRays, OrderedUnknowns, Problem, ReducedSolver, Tiles
+from jaxbundle.numerics.devices import AXIS, dealt
+from jaxbundle.numerics.host import array_module, is_concrete, on_device, on_host
+from jaxbundle.numerics.shapes import grid_size
+
+
+def problem(plan: EliminationPlan, block: Block) -> Problem:
+    """The observations of a block in the order of elimination."""
+    return Problem(
+        _observations(plan, block),
+        tuple(_tiles(part, block, plan.devices) for part in plan.parts),
+        _border_rays(plan, block),
+        on_device(plan.diagonal_pair),
+        tuple(None if pair is None else on_device(pair) for pair in plan.group_pairs),
+        reduced_solver(plan.reduced),
+        plan.layout,
+        plan.devices,
+    )
+
+
+def to_elimination_order(plan: EliminationPlan, unknowns: Unknowns) -> OrderedUnknowns:
+    """The unknowns of a block in the order of elimination."""
+    o, tile_points = plan.order, plan.tile_points
+    rotation = spread(unknowns.rotation, o.image, o.images, np.eye(3).reshape(9, 1))
+    points = spread(unknowns.points, o.point, o.points, 0.0)
+    images = Unknowns(
+        on_device(rotation),
+        on_device(spread(unknowns.centre, o.image, o.images, 0.0)),
+        on_device(spread(unknowns.interior, o.camera, o.cameras, 1.0)),
+        on_device(_padded(unknowns.parameters, plan.layout.parameters)),
+        on_device(points[:, tile_points:]),
+    )
+    tiles = points[:, :tile_points].reshape(3, -1, plan.layout.width)
+    return OrderedUnknowns(images, dealt(tiles, plan.devices, 1))
+
+
+def to_block_order(plan: EliminationPlan, ordered: OrderedUnknowns) -> Unknowns:
+    """The unknowns in the order of the block."""
+    images, o = ordered.images, plan.order
+    tiles, border = on_host(ordered.tiles), on_host(images.points)
+    xp = np if is_concrete((tiles, border)) else jnp
+    points = xp.concatenate([tiles.reshape(3, -1), border], 1)[:, o.point]
+    parts = (
+        on_host(images.rotation)[:, o.image],
+        on_host(images.centre)[:, o.image],
+        on_host(images.interior)[:, o.camera],
+        on_host(images.parameters)[: o.parameters],
+    )
+    return Unknowns(*(on_device(x) for x in (*parts, points)))
+
+
+def rays_to_block_order(plan: EliminationPlan, components: int, values: list[Array]) -> Float[Array, "ray component"]:
+    """What belongs to the rays, one array per component and part for the cells, then one per component for the rays of
+    border points, in the order of the block."""
+    border_rays = plan.border_rays
+    position = np.full(sum(len(part.rays) for part in plan.parts) + len(border_rays), -1)
+    first = 0
+    for part in plan.parts:
+        grid = part.tiling.ray.ravel()
+        cell = np.flatnonzero(grid >= 0)
+        position[part.rays[grid[cell]]] = first + cell
+        first += grid.size
+    position[border_rays] = first + np.arange(len(border_rays))
+    assert (position >= 0).all(), "a ray has no cell of its own"
+    host = [on_host(x) for x in values]
+    xp = np if is_concrete(host) else jnp
+    columns = [xp.concatenate([x.ravel() for x in host[k::components]])[position] for k in range(components)]
+    return on_device(xp.stack(columns, 1))
+
+
+def ordered_vectors(
+    plan: EliminationPlan,
+    structure: Structure,
+    exterior: Float[np.ndarray, "vector image 6"],
+    interior: Float[np.ndarray, "vector camera column"],
+    parameters: Float[np.ndarray, "vector parameter"],
+    object_points: Float[np.ndarray, "vector point 3"],
+) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
+    """Parts of a `NormalVector` by the elements of the block, angles those of the corrections; 0 for what is fixed."""
+    o, layout, count = plan.order, plan.layout, len(exterior)
+    interior = interior * structure.interior_free[:, list(structure.interior_columns)]
+    images, border = np.zeros((count, o.images, layout.image)), np.zeros((count, layout.border))
+    images[:, o.image, :EXTERIOR] = exterior * structure.exterior_free
+    if layout.own_cameras:
+        images[:, o.camera, EXTERIOR:] = interior
+    else:
+        border[:, : layout.first_parameter] = interior.reshape(count, -1)
+    inside = slice(layout.first_parameter, layout.first_parameter + o.parameters)
+    border[:, inside] = parameters * structure.parameter_free
+    points = np.zeros((count, 3, o.points))
+    points[:, :, o.point] = (object_points * structure.point_free).transpose(0, 2, 1)
+    border[:, layout.first_point :] = points[:, :, plan.tile_points :].transpose(0, 2, 1).reshape(count, -1)
+    tiles = points[:, :, : plan.tile_points].reshape(count, 3, -1, layout.width)
+    return images, border, tiles
+
+
+def spread(values: Any, index: Int[np.ndarray, " entity"], size: int, filling: bool | float | np.ndarray) -> Any:
+    """Columns of `values` put to their positions among `size`; the other positions hold `filling`."""
+    values = on_host(values)
+    xp = np if is_concrete(values) else jnp
+    source = np.full(size, values.shape[1])
+    source[index] = np.arange(values.shape[1])
+    column = np.broadcast_to(np.asarray(filling, values.dtype), (values.shape[0], 1))
+    return xp.concatenate([values, column], 1)[:, source]
+
+
+def _padded(values: Any, size: int) -> Any:
+    """Numbers followed by zeros."""
+    values = on_host(values)
+    return array_module(values).concatenate([values, np.zeros(size - len(values), values.dtype)])
+
+
+def _observations(plan: EliminationPlan, block: Block) -> Observations:
+    """Everything but the rays: groups, what is free, and the image model."""
+    o, structure, in_angles = plan.order, block.structure, corrected_in_angles(block.structure)
+    image_camera = np.arange(o.images)  # where every image has its own camera, so have the dummies
+    if plan.layout.cameras:
+        image_camera = np.zeros(o.images, int)
+        image_camera[o.image] = o.camera[structure.image_camera]
+    positions = {"image": o.image, "camera": o.camera, "parameter": np.arange(o.parameters), "point": o.point}
+    groups = []
+    for group in block.groups:
+        touched = zip(group.structure.kind.touches, group.structure.indices.T, strict=True)
+        groups.append(group_arrays(group, np.stack([positions[kind][index] for kind, index in touched])))
+    none = on_device(np.zeros(0, np.int32))
+    interior_free = structure.interior_free.T[list(structure.interior_columns)]
+    return Observations(
+        model=structure.model,
+        columns=structure.interior_columns,
+        system=structure.rotation_system,
+        image_camera=on_device(image_camera, jnp.int32),
+        ray_image=none,
+        ray_point=none,
+        coordinates=on_device(np.zeros((structure.model.numbers, 0))),
+        weights=on_device(np.zeros((structure.model.components, 0))),
+        groups=tuple(groups),
+        exterior_free=on_device(spread(structure.exterior_free.T, o.image, o.images, False)),
+        interior_free=on_device(spread(interior_free, o.camera, o.cameras, False)),
+        parameter_free=on_device(_padded(structure.parameter_free, plan.layout.parameters)),
+        point_free=on_device(spread(structure.point_free.T, o.point, o.points, False)),
+        in_angles=_in_angles(in_angles, plan),
+    )
+
+
+def _in_angles(in_angles: Bool[np.ndarray, " image"] | None, plan: EliminationPlan) -> Bool[Array, " image"] | None:
+    if in_angles is None:
+        return None
+    return on_device(spread(in_angles[None], plan.order.image, plan.order.images, False)[0])
+
+
+def reduced_solver(reduced: ReducedPlan) -> ReducedSolver:
+    """The factorisation that the plan chose, with its lists."""
+    pair = on_device(reduced.padded_pairs)
+    if reduced.panels is None:
+        return ReducedSolver(pair, DenseCholesky(pair, on_device(np.arange(reduced.images), np.int32)))
+    lists = jax.tree.map(on_device, reduced.panels)
+    return ReducedSolver(pair, PanelCholesky(lists, AXIS if reduced.shared_out else None))
+
+
+def _tiles(part: Part, block: Block, devices: int) -> Tiles:
+    """The rays of eliminated points as cells."""
+    t = part.tiling
+    coordinates, sigmas = on_host(block.rays.coordinates), on_host(block.rays.sigmas)
+
+    def cells(values: Any) -> Any:
+        xp = np if is_concrete(values) else jnp
+        return xp.stack([_to_cells(values[:, k], t.ray, part.rays) for k in range(values.shape[1])], 2)
+
+    slot_image, slot_tile, measured, weights, chunks = (
+        dealt(x, devices) for x in (t.slot_image, t.slot_tile, cells(coordinates), cells(1 / sigmas), t.chunks)
+    )
+    pairs = jax.tree.map(on_device, part.pairs)
+    return Tiles(slot_image, slot_tile, measured, weights, chunks, pairs, t.max_tiles, t.group)
+
+
+def _border_rays(plan: EliminationPlan, block: Block) -> BorderRays:
+    """The rays of border points, padded with rays of weight 0."""
+    count = len(plan.border_rays)
+    size = grid_size(count) if count else 0
+    ray = np.zeros(size, int)
+    ray[:count] = plan.border_rays
+    used = np.arange(size) < count
+    image, point = block.structure.ray_image[ray], block.structure.ray_point[ray]
+    return BorderRays(
+        on_device(plan.order.image[image], jnp.int32),
+        on_device(np.where(used, plan.order.point[point] - plan.tile_points, 0), jnp.int32),
+        on_device(on_host(block.rays.coordinates)[ray].T),
+        on_device(used / on_host(block.rays.sigmas)[ray].T),
+    )
+
+
+def _to_cells(values: Any, cell: Int[np.ndarray, "device chunk slot column"], rays: Int[np.ndarray, " of_part"]) -> Any:
+    """A number of every ray at its cell, 0 where there is none; `cell`: which of the part's `rays` it has, or -1."""
+    if is_concrete(values):
+        return np.append(values[rays], 0.0)[cell]
+    return _gathered(values, np.append(rays, len(values))[cell])
+
+
+@partial(jax.custom_jvp, nondiff_argnums=(1,))
+def _gathered(values: Array, ray: Int[np.ndarray, "device chunk slot column"]) -> Array:
+    return jnp.append(values, 0.0)[ray]
+
+
+@_gathered.defjvp
+def _gathered_jvp(ray: np.ndarray, primals: tuple, tangents: tuple) -> tuple[Array, Array]:
+    # written as a scatter, because the transposed one of that is a gather, which is cheap
+    flat, place = ray.ravel(), np.full(len(primals[0]), ray.size)
+    used = np.flatnonzero(flat < len(place))
+    place[flat[used]] = used
+    put = jnp.zeros(ray.size).at[place].set(tangents[0], mode="drop", unique_indices=True)
+    return _gathered(primals[0], ray), put.reshape(ray.shape)

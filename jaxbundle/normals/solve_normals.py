@@ -1,0 +1,92 @@
+"""N^-1 b and H^-1 b: the undamped equations solved for right-hand sides of any kind.
+
+    [ U    W ] [t]   [b_t]        u = V^-1 b_X                               images' rows:  S t = b_t - W u
+    [ W^T  V ] [X] = [b_X]        X = V^-1 (b_X - W^T t)
+
+N = A^T P A, or with all second derivatives of v^T P v / 2, H = N + sum of w^2 v d2v, which has the same blocks. One
+elimination serves all right-hand sides. Functions of the unknowns get their variances from N^-1, a free network its
+S-transformation; derivatives of the adjusted unknowns take H^-1.
+"""
+
+import dataclasses
+from typing import Any, NamedTuple
+
+import jax.numpy as jnp
+from jax import lax
+from jax.sharding import PartitionSpec
+from jaxtyping import Array, Float
+
+from jaxbundle.normals.chunks import EVERYWHERE, over_devices
+from jaxbundle.normals.eliminate import eliminate
+from jaxbundle.normals.normal_products import to_images, to_points
+from jaxbundle.normals.pcg import ImplicitEquations
+from jaxbundle.normals.plan.layout import EXTERIOR
+from jaxbundle.normals.point_blocks import PointFactor, backward, forward, point_equations
+from jaxbundle.normals.problem import Linearised, NormalVector, OrderedUnknowns, Problem, ReducedVector
+from jaxbundle.normals.reduced_system import ReducedFactor, factorise, solve
+from jaxbundle.normals.reduced_vector import reduced_rows, values_along
+from jaxbundle.normals.step import linearise, reduced_system
+from jaxbundle.numerics.devices import AXIS
+
+
+def solve_normals(unknowns: OrderedUnknowns, p: Problem, right: NormalVector, exact: bool = False) -> NormalVector:
+    """N^-1 b for every vector of the leading axis, H^-1 b if `exact`; not finite where the matrix is not positive."""
+    of_tiles: Any = PartitionSpec(None, None, AXIS)
+    vectors = NormalVector(EVERYWHERE, EVERYWHERE, of_tiles)
+    return over_devices(_on_device, linearise(unknowns, p, exact), vectors, (right,), (vectors,))
+
+
+def _on_device(linear: Linearised, right: NormalVector) -> NormalVector:
+    return lax.map(_factorised(linear).solve, right)
+
+
+class _Factorised(NamedTuple):
+    """The equations as one device has them, factorised."""
+
+    linear: Linearised
+    reduced: ReducedFactor | ImplicitEquations
+    points: PointFactor
+
+    def solve(self, b: NormalVector) -> NormalVector:
+        """The solution for one right-hand side."""
+        linear = self.linear
+        rows = to_images(linear, self._eliminated(b.tiles))
+        coupled = reduced_rows(linear.total(rows), linear)
+        t = self._reduced(ReducedVector(b.images - coupled.images, b.border - coupled.border))
+        at_points = to_points(linear, values_along(t, linear))
+        return NormalVector(t.images, t.border, self._eliminated(b.tiles - at_points))
+
+    def _reduced(self, right: ReducedVector) -> ReducedVector:
+        """S^-1 r."""
+        if isinstance(self.reduced, ImplicitEquations):
+            return self.reduced.solve(right)
+        solver = self.linear.problem.reduced
+        images, border = solve(solver, self.reduced, right.images[..., None], right.border[:, None])
+        return ReducedVector(images[..., 0], border[:, 0])
+
+    def _eliminated(self, b: Float[Array, "3 tile column"]) -> Float[Array, "3 tile column"]:
+        """V^-1 b."""
+        return jnp.stack(backward(self.points, forward(self.points, (b[0], b[1], b[2]))))
+
+
+def _factorised(linear: Linearised) -> _Factorised:
+    """Eliminates the points of this device and factorises the reduced equations."""
+    zero = jnp.zeros(())
+    rays, stored = eliminate(linear, zero)
+    rays = linear.total(rays)
+    linear = _with_second_rotations(linear, rays.rotation)
+    system = reduced_system(rays, linear).system
+    points = point_equations(stored, linear.width).factor
+    if linear.problem.layout.implicit:
+        return _Factorised(linear, ImplicitEquations(linear, system, stored, zero), points)
+    return _Factorised(linear, factorise(linear.problem.reduced, system, zero), points)
+
+
+def _with_second_rotations(linear: Linearised, gradient: Float[Array, "image 9"] | None) -> Linearised:
+    """With what the second derivatives of the rotations add, by the rays' gradient with respect to the matrices."""
+    if gradient is None or linear.d2_rotation is None:
+        return linear
+    bent = jnp.einsum("ie,eabi->iab", gradient, linear.d2_rotation)
+    angles = slice(3, EXTERIOR)
+    diagonal = linear.sums.diagonal.at[:, angles, angles].add(bent)
+    return dataclasses.replace(linear, sums=linear.sums._replace(diagonal=diagonal))
