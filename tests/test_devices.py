@@ -38,7 +38,7 @@ def test_one_step_is_the_same(make: Callable[[Block], Block]) -> None:
     one, unknowns = step(block, 1)
     for devices in (2, 4):
         other, moved = step(block, devices)
-        for name in ("cost", "reduction", "predicted", "moved"):
+        for name in ("cost", "reduction", "predicted", "residual_change"):
             np.testing.assert_allclose(getattr(other, name), getattr(one, name), rtol=1e-12)
         for a, b in zip(jax.tree.leaves(moved), jax.tree.leaves(unknowns), strict=True):
             np.testing.assert_allclose(a, b, rtol=1e-12, atol=1e-12 * float(jnp.abs(b).max(initial=0.0)))

@@ -99,7 +99,7 @@ def test_the_same_ray_twice_is_one_of_twice_the_weight():
 @pytest.mark.parametrize("share", [0.0, 0.1], ids=["eliminated", "kept"])
 def test_every_ray_has_a_cell_of_its_own(devices, share, monkeypatch):
     """Also of points with long tracks, which are kept where one is measured twice."""
-    monkeypatch.setattr("jaxbundle.normals.incidence.BORDER_SHARE", share)
+    monkeypatch.setattr("jaxbundle.normals.plan.incidence.BORDER_SHARE", share)
     tracks = [np.arange(70), np.arange(10, 90), np.arange(SLOTS), np.arange(3), np.arange(5, 9)]
     block = block_of(tracks, 100, ())
     block = measured_again(block, np.flatnonzero(np.isin(block.structure.ray_point, [0, 2, 3])))

@@ -26,6 +26,7 @@ LAYERS = {
     "cli": 11,
 }
 LONGEST = 400  # lines
+MAX_POSITIONAL = 5  # arguments
 
 
 def module_of(path: Path) -> str:
@@ -97,3 +98,27 @@ def test_no_import_hides_in_a_function(module):
 def test_files_are_short(folder):
     length = {path: len(path.read_text(encoding="utf-8").splitlines()) for path in (ROOT / folder).rglob("*.py")}
     assert not {path.name: lines for path, lines in length.items() if lines > LONGEST}
+
+
+def test_plan_of_the_elimination_is_host_work():
+    """numpy only: JAX appears where a plan becomes a problem."""
+    for module in (module for module in MODULES if module.startswith("jaxbundle.normals.plan")):
+        for node in ast.walk(ast.parse(MODULES[module].read_text(encoding="utf-8"))):
+            names = [alias.name for alias in node.names] if isinstance(node, ast.Import) else []
+            names += [node.module or ""] if isinstance(node, ast.ImportFrom) else []
+            assert not [name for name in names if name.split(".")[0] in ("jax", "equinox")], module
+
+
+def test_types_of_the_normal_equations_import_no_kernel():
+    allowed = {"jaxbundle.normals.image_factor"}
+    inside = {name for name, _ in imported("jaxbundle.normals.problem") if name.startswith("jaxbundle.normals")}
+    assert {name for name in inside if not name.startswith("jaxbundle.normals.plan")} <= allowed
+
+
+@pytest.mark.parametrize("room", ["normals"])
+def test_few_positional_arguments(room):
+    for module in (module for module in MODULES if module.split(".")[1] == room):
+        for node in ast.walk(ast.parse(MODULES[module].read_text(encoding="utf-8"))):
+            if isinstance(node, ast.FunctionDef):
+                names = [a.arg for a in (*node.args.posonlyargs, *node.args.args) if a.arg not in ("self", "cls")]
+                assert len(names) <= MAX_POSITIONAL, f"{module}.{node.name}"

@@ -168,7 +168,7 @@ def test_a_point_on_every_one_of_many_images():
 @pytest.mark.parametrize("devices", [1, 2])
 def test_every_ray_has_one_cell(tracks, slots, devices, monkeypatch):
     """And there are chunks of long tracks only where there are long tracks."""
-    monkeypatch.setattr("jaxbundle.normals.incidence.BORDER_SHARE", 0.0)
+    monkeypatch.setattr("jaxbundle.normals.plan.incidence.BORDER_SHARE", 0.0)
     block = block_of([np.array(track) for track in tracks], 100, ())
     structure = block.structure
     plan = plan_elimination(structure, block.groups, np.asarray(block.exterior.projection_centre), devices)

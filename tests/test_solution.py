@@ -13,13 +13,12 @@ from test_elimination import BLOCKS, with_distances
 from jaxbundle.block.block import Block
 from jaxbundle.block.unknowns import unknowns_of
 from jaxbundle.normals.cost import weighted_residuals
-from jaxbundle.normals.from_block import ordered_vectors, problem, to_elimination_order
+from jaxbundle.normals.from_block import BlockVectors, ordered_vectors, problem, to_elimination_order
 from jaxbundle.normals.plan.elimination_plan import plan_elimination
 from jaxbundle.normals.plan.reduced_plan import Method
 from jaxbundle.normals.problem import NormalVector
 from jaxbundle.normals.solve_normals import solve_normals
 from jaxbundle.numerics.compilation import QUICKLY
-from jaxbundle.numerics.host import on_device
 from jaxbundle.solve.adjust import adjust
 from jaxbundle.solve.implicit import moved, zero_vector
 
@@ -37,7 +36,7 @@ def assert_solved(block: Block, devices: int, reduced: Method = "auto") -> None:
     interior = np.asarray(sd.interior)[None, :, list(structure.interior_columns)]
     exterior = np.hstack([sd.projection_centre, sd.angles])[None]
     parameters, points = np.asarray(sd.parameters)[None], np.asarray(sd.object_points)[None]
-    scale = NormalVector(*map(on_device, ordered_vectors(plan, structure, exterior, interior, parameters, points)))
+    scale = ordered_vectors(plan, structure, BlockVectors(exterior, interior, parameters, points))
     rng = np.random.default_rng(1)
     expected = jax.tree.map(lambda s: jnp.asarray(rng.standard_normal(s.shape[1:])) * s[0], scale)
 

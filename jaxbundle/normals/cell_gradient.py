@@ -16,7 +16,7 @@ from jaxbundle.normals.eliminate import Eliminated
 from jaxbundle.normals.leverage import CellProducts, ReducedCofactors
 from jaxbundle.normals.point_blocks import backward, point_equations
 from jaxbundle.normals.problem import Linearised, ReducedSums, Tiles
-from jaxbundle.normals.rows import image_equation
+from jaxbundle.normals.rows import Image, image_equation
 from jaxbundle.numerics.linear_map import directional
 
 Rows = list[Any]
@@ -72,7 +72,7 @@ def gradient_of_tiles(
         factors = [x[0] for x in k[components * i : components * (i + 1)]]
 
         def add_chunk(_: Tiles, c: Array, done: Any, i: int = i, factors: list[Array] = factors) -> Any:
-            return _add_chunk(at, change, i, factors, c, done)
+            return _add_chunk((at, change), i, factors, c, done)
 
         start = shared, jnp.zeros_like(part.measured), jnp.zeros_like(part.weights)
         shared, of_measured, of_weights = for_chunks((part,), add_chunk, start)
@@ -82,8 +82,9 @@ def gradient_of_tiles(
     return GradientOfTiles(reduced, points, linear.total(table), tiles, measured, weights)
 
 
-def _add_chunk(at: tuple, change: tuple, i: int, k: list[Array], c: Array, done: Any) -> Any:
-    """Adds chunk `c` of part `i`. `at`: equations, Q and T; `change`: how they change with t."""
+def _add_chunk(given: tuple[tuple, tuple], i: int, k: list[Array], c: Array, done: Any) -> Any:
+    """Adds chunk `c` of part `i`. `given`: equations, Q and T, and how they change with t."""
+    at, change = given
     ((points, points_along), table, tiles), measured, weights = done
     linear: Linearised = at[0]
 
@@ -135,11 +136,11 @@ def _row_gradient(linear: Linearised, chunk: Chunk, directions: list[Rows]) -> t
         for column, x in zip(o.columns, d[6:-3], strict=True):
             interior[column] = x
 
-        def equation(rotation: Any, centre: Any, interior: Any, point: Vector) -> Any:
-            return image_equation(o.model, rotation, centre, interior, point, measured, chunk.zero)
+        def equation(image: Image, point: Vector) -> Any:
+            return image_equation(o.model, image, point, measured, chunk.zero)
 
-        there = image.rotation, image.centre, image.interior, point
-        return jax.jvp(equation, there, (tuple(turned), tuple(d[:3]), tuple(interior), tuple(d[-3:])))[1]
+        there = (image.rotation, image.centre, image.interior), point
+        return jax.jvp(equation, there, ((tuple(turned), tuple(d[:3]), tuple(interior)), tuple(d[-3:])))[1]
 
     def product(numbers: Rows, point: Vector, measured: Measured, weights: tuple[Array, ...]) -> Array:
         rows = (along(numbers, point, measured, d)[i] * weights[i] for i, d in enumerate(directions))

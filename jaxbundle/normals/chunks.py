@@ -21,13 +21,12 @@ from jaxbundle.block.residuals import Observations
 from jaxbundle.block.unknowns import Unknowns
 from jaxbundle.camera.collinearity import Vector
 from jaxbundle.camera.model import CameraModel, Measured, Residual
-from jaxbundle.geometry.rotation import Rotation, Scalar
+from jaxbundle.geometry.rotation import Rotation
 from jaxbundle.normals.problem import Linearised, OrderedUnknowns, Problem, Tiles
-from jaxbundle.normals.rows import ImageScalars, image_equation
+from jaxbundle.normals.rows import Image, ImageScalars, image_equation
 from jaxbundle.numerics.devices import AXIS, device_mesh
 from jaxbundle.numerics.stored import stored
 
-Image = tuple[Rotation, Vector, tuple[Scalar, ...]]
 Carry = TypeVar("Carry")
 
 EVERYWHERE: Any = PartitionSpec()
@@ -141,7 +140,7 @@ class ChunkRays(NamedTuple):
 
     def equation(self, image: Image, point: Vector) -> Residual:
         """Residuals of the rays."""
-        return image_equation(self.model, *image, point, self.chunk.measured, self.chunk.zero)
+        return image_equation(self.model, image, point, self.chunk.measured, self.chunk.zero)
 
 
 def chunk_rays(linear: Linearised, part: Tiles, c: Array, table: Float[Array, "image number"]) -> ChunkRays:

@@ -4,6 +4,8 @@ The sum runs through the tiles chunk by chunk. A derivative, forward or transpos
 again instead of keeping what it needs of every ray, and sums on each device the chunks that are its own.
 """
 
+from typing import NamedTuple
+
 import jax
 import jax.numpy as jnp
 from jax import lax
@@ -13,14 +15,13 @@ from jaxbundle.block.residuals import Observations, group_residuals, weighted
 from jaxbundle.normals.chunks import (
     EVERYWHERE,
     OF_TILES,
-    Image,
     image_table,
     is_used,
     problem_parts,
     split_values,
 )
 from jaxbundle.normals.problem import OrderedUnknowns, Problem, Tiles
-from jaxbundle.normals.rows import image_equation
+from jaxbundle.normals.rows import Image, image_equation
 from jaxbundle.numerics.devices import AXIS, device_mesh
 
 
@@ -60,7 +61,7 @@ def _cost_of_tiles(
     ) -> Float[Array, ""]:
         image = split_values([numbers[:, k, None] for k in range(numbers.shape[1])])
         x, y, z = (jnp.take(coordinate, tile, axis=0, mode="clip") for coordinate in window)
-        v = _residuals(p.observations, image, (x, y, z), measured, weights, tile[0])
+        v = _residuals(p.observations, _Rays(image, (x, y, z), measured, weights), tile[0])
         return 0.5 * sum((jnp.sum(r * r) for r in v), jnp.zeros(()))
 
     for part in p.tiles:
@@ -86,7 +87,7 @@ def other_residuals(unknowns: OrderedUnknowns, p: Problem) -> list[Array]:
         interior = tuple(u.interior[:, o.image_camera[rays.image]])
         centre = u.centre[:, rays.image]
         image = tuple(u.rotation[:, rays.image]), (centre[0], centre[1], centre[2]), interior
-        residuals += _residuals(o, image, tuple(u.points[:, rays.point]), rays.measured, rays.weights)
+        residuals += _residuals(o, _Rays(image, tuple(u.points[:, rays.point]), rays.measured, rays.weights))
     if o.groups:
         flat = unknowns.flat()
         residuals += [weighted(group_residuals(flat, group), group) for group in o.groups]
@@ -102,7 +103,7 @@ def weighted_residuals(unknowns: OrderedUnknowns, p: Problem) -> list[Array]:
         number = jnp.moveaxis(values[part.slot_image], -1, 0)[..., None]
         points = tuple(unknowns.tiles[:, part.slot_tile + first])
         measured, weights = (jnp.moveaxis(x, 2, 0) for x in (part.measured, part.weights))
-        cells += _residuals(p.observations, split_values(list(number)), points, measured, weights)
+        cells += _residuals(p.observations, _Rays(split_values(list(number)), points, measured, weights))
     return [*cells, *other_residuals(unknowns, p)]
 
 
@@ -119,17 +120,19 @@ def rounding_noise(p: Problem) -> Float[Array, ""]:
     return 0.5 * eps**2 * sum(squares, jnp.zeros(()))
 
 
-def _residuals(
-    o: Observations,
-    image: Image,
-    points: tuple[Array, ...],
-    measured: Array,
-    weights: Array,
-    zero: Int[Array, ""] | None = None,
-) -> list[Array]:
+class _Rays(NamedTuple):
+    """Rays of any arrangement, with what they depend on."""
+
+    image: Image
+    points: tuple[Array, ...]
+    measured: Array
+    weights: Array
+
+
+def _residuals(o: Observations, rays: _Rays, zero: Int[Array, ""] | None = None) -> list[Array]:
     """Weighted residuals of rays. One without weight gets a point in front of its camera: derivatives stay finite."""
-    rotation, centre, interior = image
-    ahead = [x - r for x, r in zip(centre, rotation[2::3], strict=True)]
-    x, y, z = (jnp.where(is_used(weights), x, a) for x, a in zip(points, ahead, strict=True))
-    v = image_equation(o.model, rotation, centre, interior, (x, y, z), tuple(measured), zero)
-    return [r * w for r, w in zip(v, weights, strict=True)]
+    rotation, centre, _ = rays.image
+    ahead, used = [x - r for x, r in zip(centre, rotation[2::3], strict=True)], is_used(rays.weights)
+    x, y, z = (jnp.where(used, x, a) for x, a in zip(rays.points, ahead, strict=True))
+    v = image_equation(o.model, rays.image, (x, y, z), tuple(rays.measured), zero)
+    return [r * w for r, w in zip(v, rays.weights, strict=True)]

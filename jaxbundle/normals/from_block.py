@@ -4,7 +4,7 @@ Concrete values are laid out by numpy, which compiles nothing; traced ones by JA
 """
 
 from functools import partial
-from typing import Any
+from typing import Any, NamedTuple
 
 import jax
 import jax.numpy as jnp
@@ -19,7 +19,7 @@ from jaxbundle.normals.panel_cholesky import PanelCholesky
 from jaxbundle.normals.plan.elimination_plan import EliminationPlan, Part
 from jaxbundle.normals.plan.layout import EXTERIOR
 from jaxbundle.normals.plan.reduced_plan import ReducedPlan
-from jaxbundle.normals.problem import BorderRays, OrderedUnknowns, Problem, ReducedSolver, Tiles
+from jaxbundle.normals.problem import BorderRays, NormalVector, OrderedUnknowns, Problem, ReducedSolver, Tiles
 from jaxbundle.numerics.devices import AXIS, dealt
 from jaxbundle.numerics.host import array_module, is_concrete, on_device, on_host
 from jaxbundle.numerics.shapes import grid_size
@@ -89,30 +89,32 @@ def rays_to_block_order(plan: EliminationPlan, components: int, values: list[Arr
     return on_device(xp.stack(columns, 1))
 
 
-def ordered_vectors(
-    plan: EliminationPlan,
-    structure: Structure,
-    exterior: Float[np.ndarray, "vector image 6"],
-    interior: Float[np.ndarray, "vector camera column"],
-    parameters: Float[np.ndarray, "vector parameter"],
-    object_points: Float[np.ndarray, "vector point 3"],
-) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
-    """Parts of a `NormalVector` by the elements of the block, angles those of the corrections; 0 for what is fixed."""
-    o, layout, count = plan.order, plan.layout, len(exterior)
-    interior = interior * structure.interior_free[:, list(structure.interior_columns)]
+class BlockVectors(NamedTuple):
+    """Vectors by the elements of a block; angles are those of the corrections."""
+
+    exterior: Float[np.ndarray, "vector image 6"]
+    interior: Float[np.ndarray, "vector camera column"]
+    parameters: Float[np.ndarray, "vector parameter"]
+    object_points: Float[np.ndarray, "vector point 3"]
+
+
+def ordered_vectors(plan: EliminationPlan, structure: Structure, vectors: BlockVectors) -> NormalVector:
+    """Vectors of the block in the order of elimination; 0 for what is fixed."""
+    o, layout, count = plan.order, plan.layout, len(vectors.exterior)
+    interior = vectors.interior * structure.interior_free[:, list(structure.interior_columns)]
     images, border = np.zeros((count, o.images, layout.image)), np.zeros((count, layout.border))
-    images[:, o.image, :EXTERIOR] = exterior * structure.exterior_free
+    images[:, o.image, :EXTERIOR] = vectors.exterior * structure.exterior_free
     if layout.own_cameras:
         images[:, o.camera, EXTERIOR:] = interior
     else:
         border[:, : layout.first_parameter] = interior.reshape(count, -1)
     inside = slice(layout.first_parameter, layout.first_parameter + o.parameters)
-    border[:, inside] = parameters * structure.parameter_free
+    border[:, inside] = vectors.parameters * structure.parameter_free
     points = np.zeros((count, 3, o.points))
-    points[:, :, o.point] = (object_points * structure.point_free).transpose(0, 2, 1)
+    points[:, :, o.point] = (vectors.object_points * structure.point_free).transpose(0, 2, 1)
     border[:, layout.first_point :] = points[:, :, plan.tile_points :].transpose(0, 2, 1).reshape(count, -1)
     tiles = points[:, :, : plan.tile_points].reshape(count, 3, -1, layout.width)
-    return images, border, tiles
+    return NormalVector(*map(on_device, (images, border, tiles)))
 
 
 def spread(values: Any, index: Int[np.ndarray, " entity"], size: int, filling: bool | float | np.ndarray) -> Any:

@@ -16,7 +16,6 @@ from jaxtyping import Array, Float
 from jaxbundle.camera.collinearity import Vector
 from jaxbundle.normals.chunks import (
     ChunkRays,
-    Image,
     chunk_rays,
     for_chunks,
     in_tiles,
@@ -25,6 +24,7 @@ from jaxbundle.normals.chunks import (
 )
 from jaxbundle.normals.point_blocks import backward, forward, point_equations
 from jaxbundle.normals.problem import Linearised, Tiles
+from jaxbundle.normals.rows import Image
 
 
 class _Gradient(NamedTuple):

@@ -47,12 +47,11 @@ def add_curvature(
     sums: ReducedSums,
     point_terms: PointTerms | None,
     unknowns: OrderedUnknowns,
-    d_rotation: Float[Array, "9 3 image"],
-    d2_rotation: Float[Array, "9 3 3 image"],
+    rotations: Rotations,
     p: Problem,
 ) -> tuple[ReducedSums, PointTerms | None]:
     """Adds the second derivatives to the sums and to what belongs to single eliminated points."""
-    o, rotations = p.observations, Rotations(d_rotation, d2_rotation)
+    o = p.observations
     if p.border_rays:
         sums = _add_rays(sums, unknowns.images, rotations, p)
     flat = unknowns.flat() if o.groups else unknowns.images
@@ -122,7 +121,8 @@ def _add_rays(sums: ReducedSums, unknowns: Unknowns, rotations: Rotations, p: Pr
         rotation = tuple(own.turned(jnp.stack(image.rotation), angles))
         estimated = tuple(jnp.stack(image.interior).at[np.array(o.columns, int)].add(interior))
         at, x = (tuple(jnp.stack(v) + c) for v, c in ((image.centre, centre), (ray.point, of_point)))
-        v = image_equation(o.model, rotation, (at[0], at[1], at[2]), estimated, (x[0], x[1], x[2]), ray.measured)
+        there = rotation, (at[0], at[1], at[2]), estimated
+        v = image_equation(o.model, there, (x[0], x[1], x[2]), ray.measured)
         return jnp.stack(v) * p.border_rays.weights
 
     of_image, of_point = _units([EXTERIOR + elements, 3], members)

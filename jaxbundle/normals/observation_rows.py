@@ -151,17 +151,21 @@ def _border_rows(kind: str, index: Array, p: Problem) -> Int[Array, "member para
     return layout.first_parameter + index[:, None] if kind == "parameter" else layout.camera_rows(index)
 
 
-def add_group(
-    sums: ReducedSums, point_terms: Array | None, group: Group, pairs: Array | None, rows: GroupRows, p: Problem
-) -> tuple[ReducedSums, Array | None]:
-    """Adds a group of observations; what touches one eliminated point only goes into `point_terms` (9, point)."""
-    sums = add_rows(sums, touched_by_group(group, rows.rows, p), rows.residuals, pairs)
-    if group.kind.touches == ("point",) and point_terms is not None:
-        b = rows.rows[0]
-        terms = [jnp.sum(b[:, i] * b[:, j], 0) for i, j in PAIRS]
-        terms += [jnp.sum(b[:, i] * rows.residuals, 0) for i in range(3)]
-        point_terms = point_terms.at[:, group.indices[0]].add(jnp.stack(terms), mode="drop")
-    return sums, point_terms
+def add_group(sums: ReducedSums, group: Group, rows: GroupRows, pairs: Array | None, p: Problem) -> ReducedSums:
+    """Adds a group of observations; of eliminated points nothing."""
+    return add_rows(sums, touched_by_group(group, rows.rows, p), rows.residuals, pairs)
+
+
+def add_point_terms(
+    terms: Float[Array, "9 point"] | None, group: Group, rows: GroupRows
+) -> Float[Array, "9 point"] | None:
+    """Adds a group that touches one eliminated point per member to V (6 numbers) and gradient of the points."""
+    if terms is None or group.kind.touches != ("point",):
+        return terms
+    b = rows.rows[0]
+    added = [jnp.sum(b[:, i] * b[:, j], 0) for i, j in PAIRS]
+    added += [jnp.sum(b[:, i] * rows.residuals, 0) for i in range(3)]
+    return terms.at[:, group.indices[0]].add(jnp.stack(added), mode="drop")
 
 
 def add_border_rays(sums: ReducedSums, unknowns: Unknowns, d_rotation: Rotations, p: Problem) -> ReducedSums:

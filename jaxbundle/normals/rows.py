@@ -35,6 +35,9 @@ from jaxbundle.numerics.stored import stored
 Lower = list[list[Scalar]]  # rows of a lower triangle
 
 
+Image = tuple[Rotation, Vector, tuple[Scalar, ...]]  # rotation, projection centre, interior elements
+
+
 class ImageScalars(NamedTuple):
     """What a ray takes from its image: rotation, its derivatives with respect to three angles, centre, interior."""
 
@@ -85,18 +88,13 @@ class PhotoVector(NamedTuple):
 
 
 def image_equation(
-    model: CameraModel,
-    rotation: Rotation,
-    centre: Vector,
-    interior: tuple[Scalar, ...],
-    point: Vector,
-    measured: Measured,
-    zero: Int[Array, ""] | None = None,
+    model: CameraModel, image: Image, point: Vector, measured: Measured, zero: Int[Array, ""] | None = None
 ) -> Residual:
     """Residuals of a ray as a function of everything they depend on.
 
     With a `zero`, photo vector and residuals are `stored`, and so are their derivatives, of which there are many.
     """
+    rotation, centre, interior = image
     vector = photo_vector(rotation, centre, point)
     if zero is None:
         return model.residual(interior, vector, measured)

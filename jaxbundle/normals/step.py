@@ -25,8 +25,8 @@ from jaxbundle.normals.chunks import (
 )
 from jaxbundle.normals.cost import other_residuals, rounding_noise
 from jaxbundle.normals.eliminate import RaySums, eliminate
-from jaxbundle.normals.observation_curvature import add_curvature
-from jaxbundle.normals.observation_rows import add_border_rays, add_group, group_rows, no_sums
+from jaxbundle.normals.observation_curvature import Rotations, add_curvature
+from jaxbundle.normals.observation_rows import add_border_rays, add_group, add_point_terms, group_rows, no_sums
 from jaxbundle.normals.pcg import ImplicitEquations
 from jaxbundle.normals.problem import Linearised, OrderedUnknowns, Problem, ReducedVector
 from jaxbundle.normals.reduced_system import ReducedSystem, factorise, step
@@ -64,10 +64,11 @@ def linearise(unknowns: OrderedUnknowns, p: Problem, exact: bool = False) -> Lin
     on_points = any(group.kind.touches == ("point",) for group in o.groups)
     terms = jnp.zeros((9, p.tile_points)) if on_points else None
     for group, pairs in zip(o.groups, p.group_pairs, strict=True):
-        sums, terms = add_group(sums, terms, group, pairs, group_rows(group, flat, d_rotation, o.columns), p)
+        rows = group_rows(group, flat, d_rotation, o.columns)
+        sums, terms = add_group(sums, group, rows, pairs, p), add_point_terms(terms, group, rows)
     d2_rotation = attitude_curvature(images.rotation, o.in_angles, o.system) if exact else None
     if d2_rotation is not None:
-        sums, terms = add_curvature(sums, terms, unknowns, d_rotation, d2_rotation, p)
+        sums, terms = add_curvature(sums, terms, unknowns, Rotations(d_rotation, d2_rotation), p)
     return Linearised(
         unknowns,
         p,

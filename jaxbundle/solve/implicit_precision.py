@@ -22,7 +22,7 @@ from jaxbundle.block.block import Structure
 from jaxbundle.normals.cofactor_gradient import CofactorWeights, cofactor_gradient
 from jaxbundle.normals.cofactors import Cofactors, cofactors
 from jaxbundle.normals.cost import weighted_residuals
-from jaxbundle.normals.from_block import ordered_vectors
+from jaxbundle.normals.from_block import BlockVectors, ordered_vectors
 from jaxbundle.normals.plan.elimination_plan import EliminationPlan
 from jaxbundle.normals.problem import NormalVector, OrderedUnknowns, Problem
 from jaxbundle.numerics.compilation import Compiled
@@ -51,7 +51,7 @@ def with_derivatives(
         images, points = len(structure.image_names), len(structure.point_names)
         shapes = (images, 6), structure.interior_free[:, list(structure.interior_columns)].shape
         ones = (np.ones((1, *shape)) for shape in (*shapes, structure.parameter_free.shape, (points, 3)))
-        masks = ordered_vectors(plan, structure, *ones)
+        masks = ordered_vectors(plan, structure, BlockVectors(*ones))
         free = on_device(np.flatnonzero(np.concatenate([np.ravel(mask) for mask in masks])))
     given = Precision(found.images, found.border, found.points, found.leverages)
     q = _precision(given, x, p, free, optimised)

@@ -17,7 +17,7 @@ from jaxbundle.block.block import Block
 from jaxbundle.block.datum import with_datum
 from jaxbundle.block.given import require_a
 from jaxbundle.block.unknowns import angle_derivatives, unknowns_of
-from jaxbundle.normals.from_block import ordered_vectors, problem, to_elimination_order
+from jaxbundle.normals.from_block import BlockVectors, ordered_vectors, problem, to_elimination_order
 from jaxbundle.normals.plan.elimination_plan import EliminationPlan, plan_elimination
 from jaxbundle.normals.problem import NormalVector, OrderedUnknowns, Problem
 from jaxbundle.normals.solve_normals import solve_normals
@@ -151,15 +151,13 @@ def _arranged_rows(plan: EliminationPlan, block: Block, derivatives: Any) -> Nor
     by_angles = np.einsum("fia,abi->fib", np.asarray(derivatives.exterior.angles), turned)
     by_centre = np.asarray(derivatives.exterior.projection_centre)
     by_interior = np.asarray(derivatives.interior.elements)[:, :, list(structure.interior_columns)]
-    rows = ordered_vectors(
-        plan,
-        structure,
+    rows = BlockVectors(
         np.concatenate([by_centre, by_angles], 2),
         by_interior,
         np.asarray(derivatives.parameters),
         np.asarray(derivatives.object_points),
     )
-    return NormalVector(*map(on_device, rows))
+    return ordered_vectors(plan, structure, rows)
 
 
 def error_ellipsoids(adjustment: Adjustment) -> Ellipsoids:

@@ -12,9 +12,9 @@ from jaxbundle.normals.plan import elimination_order
 from jaxbundle.normals.plan.incidence import Views, border_points, group_image_pairs, own_cameras, views_of
 from jaxbundle.normals.plan.layout import EXTERIOR, Layout
 from jaxbundle.normals.plan.long_tiling import long_tiling
-from jaxbundle.normals.plan.pair_lists import ClassPairs, Finder, GroupPairs, class_pairs, group_pairs, pair_finder
+from jaxbundle.normals.plan.pair_lists import ClassPairs, GroupPairs, class_pairs, group_pairs
 from jaxbundle.normals.plan.reduced_plan import Method, ReducedPlan, reduced_plan, too_large
-from jaxbundle.normals.plan.tiling import SLOTS, Tiling, tile_width, tiling
+from jaxbundle.normals.plan.tiling import SLOTS, Seen, Tiling, tile_width, tiling
 from jaxbundle.numerics.shapes import grid_size
 
 
@@ -84,6 +84,14 @@ class _Tracks(NamedTuple):
     points: int
 
 
+class _Wanted(NamedTuple):
+    """Devices, how the reduced equations are solved, and whether their matrix must be factorised."""
+
+    devices: int
+    solver: Method
+    direct: bool
+
+
 def plan_elimination(
     structure: Structure,
     groups: tuple[ObservationGroup, ...],
@@ -111,13 +119,13 @@ def plan_elimination(
     tracks, border_rays = _tracks(structure, in_border)
     q = len(structure.interior_columns)
     d = EXTERIOR + q if own else EXTERIOR
-    reduced = _reduced(tracks, images, d, touching, devices, solver, direct)
-    rank, find = reduced.rank, pair_finder(reduced.pairs, reduced.images, reduced.blocks - 1)
+    reduced = _reduced(tracks, images, d, touching, _Wanted(devices, solver, direct))
+    rank, find = reduced.rank, reduced.block_of
     ranked = np.empty((images, 3))
     ranked[rank] = centres if centres is not None else np.stack([rank, 0 * rank, 0 * rank], 1)
     width = tile_width(len(tracks.rays))
     views = views_of(rank[tracks.image], structure.ray_repeat[tracks.rays], ranked)
-    parts, position = _parts(tracks, views, reduced, find, devices, width)
+    parts, position = _parts(tracks, views, reduced, devices, width)
     tile_points = devices * sum(part.tiling.tiles for part in parts) * width
     point = np.empty(len(in_border), np.int64)
     point[~in_border], point[in_border] = position, tile_points + np.arange(in_border.sum())
@@ -158,13 +166,12 @@ def _tracks(structure: Structure, in_border: np.ndarray) -> tuple[_Tracks, Int[n
     return _Tracks(rays, point, image, int((~in_border).sum())), np.nonzero(of_border)[0]
 
 
-def _reduced(
-    tracks: _Tracks, images: int, d: int, touching: list, devices: int, solver: Method, direct: bool
-) -> ReducedPlan:
+def _reduced(tracks: _Tracks, images: int, d: int, touching: list[np.ndarray | None], wanted: _Wanted) -> ReducedPlan:
     """The plan of the reduced equations; `touching`: pairs of images that groups of observations join."""
     extra = [pairs for pairs in touching if pairs is not None]
     joined = np.concatenate(extra) if extra else None
     graph = elimination_order.image_graph(tracks.image, tracks.point, images, tracks.points, joined)
+    devices, solver, direct = wanted
     if solver == "auto" and not direct and not extra and too_large(graph, images, d):
         solver = "pcg"
     if solver == "pcg" and extra:
@@ -173,7 +180,7 @@ def _reduced(
 
 
 def _parts(
-    tracks: _Tracks, views: Views, reduced: ReducedPlan, find: Finder, devices: int, width: int
+    tracks: _Tracks, views: Views, reduced: ReducedPlan, devices: int, width: int
 ) -> tuple[tuple[Part, ...], Int[np.ndarray, " point"]]:
     """Points with short tracks and those with long ones, as far as there are any; the position of every point."""
     long = np.bincount(tracks.point, minlength=tracks.points) > SLOTS
@@ -183,12 +190,12 @@ def _parts(
             continue
         mine = np.nonzero(chosen[tracks.point])[0]
         number = np.cumsum(chosen) - 1
-        seen, count = views.of_ray[mine], len(views.rank)
-        t = plan(seen, number[tracks.point[mine]], int(chosen.sum()), count, views.centre, devices, width)
+        seen = views.of_ray[mine]
+        t = plan(Seen(seen, number[tracks.point[mine]], int(chosen.sum()), views.centre), devices, width)
         t.slot_image[...] = np.append(views.rank, reduced.images - 1)[t.slot_image]
         t.slot_tile[...] += first
         tile[chosen] = t.point_tile + np.array([0, first, 0])
-        pairs = None if reduced.method == "pcg" else list_pairs(t, find, reduced.blocks - 1)
+        pairs = None if reduced.method == "pcg" else list_pairs(t, reduced.block_of, reduced.blocks - 1)
         parts.append(Part(t, tracks.rays[mine], pairs))
         first += t.tiles
     device, tile, column = tile.T

@@ -9,9 +9,9 @@ tiles of all others as large. Points are joined to a tile where that makes fewer
 """
 
 import numpy as np
-from jaxtyping import Float, Int
+from jaxtyping import Int
 
-from jaxbundle.normals.plan.tiling import SLOTS, Places, Tiling, laid_out, number_images, positions_along_curve
+from jaxbundle.normals.plan.tiling import SLOTS, Places, Seen, Tiling, laid_out, number_images, positions_along_curve
 from jaxbundle.numerics.shapes import grid_size
 
 GROUP = 32  # slots; a product is then large enough to be fast, and its temporaries stay in the cache
@@ -30,10 +30,9 @@ def _products(images: Int[np.ndarray, " tile"]) -> Int[np.ndarray, " tile"]:
     return groups * (groups + 1) // 2
 
 
-def _joined(
-    position: Int[np.ndarray, " ray"], image: Int[np.ndarray, " ray"], images: int, points: int, width: int
-) -> Int[np.ndarray, " position"]:
+def _joined(position: Int[np.ndarray, " ray"], seen: Seen, width: int) -> Int[np.ndarray, " position"]:
     """Tile of every position along the curve: rows of `width`, halved again and again where that saves products."""
+    points = seen.points
     tile = np.arange(points)
     fewest = _products(np.bincount(position, minlength=points))
     size = 1
@@ -41,7 +40,7 @@ def _joined(
         size *= 2
         row = np.arange(points) // size
         apart = np.add.reduceat(fewest, np.arange(0, len(fewest), 2))
-        joined = _products(number_images(position // size, image, images, len(apart)).counts)
+        joined = _products(number_images(position // size, seen.image, seen.images, len(apart)).counts)
         fewest = np.minimum(joined, apart)
         tile = np.where((joined <= apart)[row], row * size, tile)
     return np.unique(tile, return_inverse=True)[1]
@@ -66,22 +65,14 @@ def _packed(groups: Int[np.ndarray, " tile"], capacity: int, devices: int) -> Pl
     return Places(np.stack([device, chunk, slot, groups * GROUP], 1), number, chunks.astype(np.int32))
 
 
-def long_tiling(
-    image: Int[np.ndarray, " ray"],
-    point: Int[np.ndarray, " ray"],
-    points: int,
-    images: int,
-    centres: Float[np.ndarray, "image 3"],
-    devices: int,
-    width: int,
-) -> Tiling:
-    """Tiles for rays sorted by point; every point has more than SLOTS rays. `image`, `centres` in elimination order."""
-    position = positions_along_curve(image, point, points, centres)
-    tile = _joined(position[point], image, images, points, width)
-    entries = number_images(tile[position[point]], image, images, int(tile[-1]) + 1)
+def long_tiling(seen: Seen, devices: int, width: int) -> Tiling:
+    """Tiles of points that have more than SLOTS rays each."""
+    position = positions_along_curve(seen)
+    tile = _joined(position[seen.point], seen, width)
+    entries = number_images(tile[position[seen.point]], seen.image, seen.images, int(tile[-1]) + 1)
     groups = -(-entries.counts // GROUP)
     capacity = padded_groups(int(groups.max()))
     places = _packed(groups, capacity, devices)
     shape = devices, grid_size(int(places.chunks.max()), 4), capacity * GROUP
     max_tiles = capacity // FEWEST_GROUPS
-    return laid_out(tile, position, point, images, width, entries, places, shape, max_tiles, GROUP)
+    return laid_out(seen, tile, position, entries, places, shape=shape, width=width, max_tiles=max_tiles, group=GROUP)

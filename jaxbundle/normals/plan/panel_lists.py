@@ -139,7 +139,7 @@ def _columns(lists: list[_Lists], blocks: list[np.ndarray], columns: int, tiles:
 
 
 def symbolic(
-    pairs: Int[np.ndarray, "pair 2"], order: Order, q: int, devices: int, images: int, blocks: int
+    pairs: Int[np.ndarray, "pair 2"], order: Order, q: int, devices: int, *, images: int, blocks: int
 ) -> PanelLists:
     """Lists of the factorisation. `pairs` in ranks, i >= j; `images`, `blocks`: padded numbers of images and of blocks.
 

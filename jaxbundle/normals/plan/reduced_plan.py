@@ -1,12 +1,14 @@
 """Host plan of the reduced normal equations: the order of the images, the blocks of image pairs, the way to solve."""
 
 from dataclasses import dataclass
+from functools import cached_property
 from typing import Literal
 
 import numpy as np
 from jaxtyping import Int
 
 from jaxbundle.normals.plan.elimination_order import elimination_order, ranked_pairs
+from jaxbundle.normals.plan.pair_lists import Finder, pair_finder
 from jaxbundle.normals.plan.panel_lists import PanelLists, symbolic
 from jaxbundle.numerics.shapes import grid_size
 
@@ -34,6 +36,11 @@ class ReducedPlan:
     """What "auto" came to."""
     shared_out: bool
     """Whether the panels are shared out to several devices."""
+
+    @cached_property
+    def block_of(self) -> Finder:
+        """Function from two ranks, i >= j, to the block of their pair; the last block where they have none."""
+        return pair_finder(self.pairs, self.images, self.blocks - 1)
 
     @property
     def blocks(self) -> int:
@@ -71,7 +78,7 @@ def reduced_plan(
     padded, blocks = grid_size(images + 1), grid_size(len(pairs) + 1)
     padded_pairs = np.full((blocks, 2), padded, np.int32)
     padded_pairs[: len(pairs)] = pairs
-    panels = None if method == "dense" else symbolic(pairs, order, q, devices, padded, blocks)
+    panels = None if method == "dense" else symbolic(pairs, order, q, devices, images=padded, blocks=blocks)
     return ReducedPlan(order.rank, pairs, padded_pairs, padded, panels, method, devices > 1)
 
 

@@ -28,6 +28,21 @@ MORTON_BITS = 12
 CELLS_AT_ONCE = 200_000_000  # bounds the memory of the table of tiles and images
 
 
+class Seen(NamedTuple):
+    """Rays sorted by point: their images and points, the number of points, the projection centres; in the order of
+    elimination."""
+
+    image: Int[np.ndarray, " ray"]
+    point: Int[np.ndarray, " ray"]
+    points: int
+    centres: Float[np.ndarray, "image 3"]
+
+    @property
+    def images(self) -> int:
+        """Number of images."""
+        return len(self.centres)
+
+
 @dataclass(frozen=True)
 class Tiling:
     """Tiles of some points. Every device has the same number of chunks and of tiles, the last of them empty."""
@@ -66,30 +81,27 @@ def _spread(values: Int[np.ndarray, " n"]) -> Int[np.ndarray, " n"]:
     return table[low] | table[high] << np.uint64(32)
 
 
-def positions_along_curve(
-    image: Int[np.ndarray, " ray"], point: Int[np.ndarray, " ray"], points: int, centres: Float[np.ndarray, "image 3"]
-) -> Int[np.ndarray, " point"]:
-    """Position of every point along the curve; rays sorted by point."""
-    first = np.searchsorted(point, np.arange(points))
-    centred = centres - centres.mean(0)
+def positions_along_curve(seen: Seen) -> Int[np.ndarray, " point"]:
+    """Position of every point along the curve."""
+    first = np.searchsorted(seen.point, np.arange(seen.points))
+    centred = seen.centres - seen.centres.mean(0)
     axes = np.linalg.svd(centred.T @ centred)[2][:2]
     plane = centred @ axes.T
     low, high = plane.min(0), plane.max(0)
     steps = ((plane - low) / (high - low + np.finfo(float).tiny) * (2**MORTON_BITS - 1)).astype(np.int32)
-    code = np.zeros(points, np.uint64)
+    code = np.zeros(seen.points, np.uint64)
     for axis in range(2):
-        of_ray = steps[image, axis]
+        of_ray = steps[seen.image, axis]
         code |= _spread(np.minimum.reduceat(of_ray, first)) << np.uint64(axis)
         code |= _spread(np.maximum.reduceat(of_ray, first)) << np.uint64(2 + axis)
-    position = np.empty(points, np.int64)
-    position[np.argsort(code, kind="stable")] = np.arange(points)
+    position = np.empty(seen.points, np.int64)
+    position[np.argsort(code, kind="stable")] = np.arange(seen.points)
     return position
 
 
-def _cut(
-    position: Int[np.ndarray, " ray"], image: Int[np.ndarray, " ray"], images: int, points: int, width: int
-) -> Int[np.ndarray, " point"]:
+def _cut(position: Int[np.ndarray, " ray"], seen: Seen, width: int) -> Int[np.ndarray, " point"]:
     """Tile of every position along the curve; a row of `width` points is cut in two where that is cheaper."""
+    image, images, points = seen.image, seen.images, seen.points
     part_width = width // CUTS
     rows = -(-points // width)
     where = np.zeros(rows, np.int64)
@@ -97,9 +109,9 @@ def _cut(
     for start in range(0, rows, at_once):
         count = min(at_once, rows - start)
         inside = slice(None) if count == rows else (position // width >= start) & (position // width < start + count)
-        seen = np.zeros((count * CUTS, images), bool)
-        seen[position[inside] // part_width - start * CUTS, image[inside]] = True
-        where[start : start + count] = _best_cut(seen.reshape(count, CUTS, images))
+        sees = np.zeros((count * CUTS, images), bool)
+        sees[position[inside] // part_width - start * CUTS, image[inside]] = True
+        where[start : start + count] = _best_cut(sees.reshape(count, CUTS, images))
     row = np.arange(points) // width
     second = (where[row] > 0) & (np.arange(points) % width >= where[row] * part_width)
     return row + np.cumsum(where > 0)[row] - (where[row] > 0) + second
@@ -182,21 +194,21 @@ def _deal(kinds: Int[np.ndarray, " tile"], devices: int) -> Places:
 
 
 def laid_out(
+    seen: Seen,
     tile: Int[np.ndarray, " position"],
     position: Int[np.ndarray, " point"],
-    point: Int[np.ndarray, " ray"],
-    images: int,
-    width: int,
     entries: Entries,
     places: Places,
+    *,
     shape: tuple[int, int, int],
+    width: int,
     max_tiles: int,
     group: int,
 ) -> Tiling:
     """Slots and cells of all tiles; `tile` of every position along the curve, `shape` of devices, chunks and slots."""
     device, chunk, slot, size = places.tile_slots.T
     first = (device * shape[1] + chunk) * shape[2] + slot
-    slot_image = np.full(shape, images, np.int32)
+    slot_image = np.full(shape, seen.images, np.int32)
     number = np.arange(len(entries.tile)) - np.repeat(np.cumsum(entries.counts) - entries.counts, entries.counts)
     slot_image.ravel()[first[entries.tile] + number] = entries.image
     slot_tile = np.zeros(shape, np.int32)
@@ -205,9 +217,9 @@ def laid_out(
     slot_tile.ravel()[first[every] + within] = places.number[every]
     slot_tile = np.maximum.accumulate(slot_tile, 2)  # slots behind the last tile of a chunk belong to it
 
-    column, of_ray = _columns(tile), position[point]
+    column, of_ray = _columns(tile), position[seen.point]
     ray = np.full((*shape, width), -1, np.int32)
-    ray.ravel()[(first[tile[of_ray]] + entries.number) * width + column[of_ray]] = np.arange(len(point))
+    ray.ravel()[(first[tile[of_ray]] + entries.number) * width + column[of_ray]] = np.arange(len(seen.point))
     of_point = tile[position]
     return Tiling(
         np.stack([device[of_point], places.number[of_point], column[position]], 1),
@@ -222,28 +234,20 @@ def laid_out(
     )
 
 
-def tiling(
-    image: Int[np.ndarray, " ray"],
-    point: Int[np.ndarray, " ray"],
-    points: int,
-    images: int,
-    centres: Float[np.ndarray, "image 3"],
-    devices: int,
-    width: int,
-) -> Tiling:
-    """Tiles for rays sorted by point; every point has 1 to SLOTS rays. `image` and `centres` in elimination order."""
-    position = positions_along_curve(image, point, points, centres)
-    of_ray = position[point]
-    tile = _cut(of_ray, image, images, points, width)
+def tiling(seen: Seen, devices: int, width: int) -> Tiling:
+    """Tiles of points that have 1 to SLOTS rays each."""
+    position = positions_along_curve(seen)
+    of_ray = position[seen.point]
+    tile = _cut(of_ray, seen, width)
     for narrow in (width // CUTS, 1):  # tiles that see too many images are split up
-        entries = number_images(tile[of_ray], image, images, int(tile[-1]) + 1)
+        entries = number_images(tile[of_ray], seen.image, seen.images, int(tile[-1]) + 1)
         wide = entries.counts > SLOTS
         if not wide.any():
             break
         split = tile * width + np.where(wide[tile], _columns(tile) // narrow, 0)
         tile = np.unique(split, return_inverse=True)[1]
     else:
-        entries = number_images(tile[of_ray], image, images, int(tile[-1]) + 1)
+        entries = number_images(tile[of_ray], seen.image, seen.images, int(tile[-1]) + 1)
     places = _deal(np.searchsorted(CLASSES, entries.counts), devices)
     shape = devices, grid_size(int(places.chunks.max())), SLOTS
-    return laid_out(tile, position, point, images, width, entries, places, shape, MAX_TILES, 1)
+    return laid_out(seen, tile, position, entries, places, shape=shape, width=width, max_tiles=MAX_TILES, group=1)
