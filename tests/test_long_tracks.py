@@ -139,7 +139,7 @@ def test_two_devices_take_the_same_step():
     block = BLOCKS["shared camera"]()
     one, unknowns = step(block, 1)
     other, moved = step(block, 2)
-    for name in ("cost", "reduction", "predicted", "moved"):
+    for name in ("cost", "reduction", "predicted", "residual_change"):
         np.testing.assert_allclose(getattr(other, name), getattr(one, name), rtol=1e-12)
     for a, b in zip(jax.tree.leaves(moved), jax.tree.leaves(unknowns), strict=True):
         np.testing.assert_allclose(a, b, rtol=1e-12, atol=1e-12 * float(jnp.abs(b).max(initial=0.0)))
