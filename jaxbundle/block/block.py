@@ -20,7 +20,7 @@ from jaxbundle.block.wording import counted
 from jaxbundle.camera.fiducials import InnerOrientation
 from jaxbundle.camera.model import CameraModel, mixture
 from jaxbundle.geometry.rotation import OMEGA_PHI_KAPPA, RotationSystem
-from jaxbundle.numerics.host import array_module, is_concrete, on_device, on_host
+from jaxbundle.numerics.host import array_module, freeze_arrays, is_concrete, on_device, on_host
 
 CENTRE_ELEMENTS = ("X0", "Y0", "Z0")
 IN_IMAGE_UNIT = ("principal_distance", "x0", "y0", "f")  # interior elements that are lengths in the image
@@ -89,7 +89,8 @@ class Datum:
 
 @dataclass(frozen=True, eq=False)
 class Structure:
-    """Names, incidences and which elements are unknown. Compared by identity: static under jit.
+    """Names, incidences and which elements are unknown. Compared by identity: static under jit, so its arrays are
+    read-only; `dataclasses.replace` makes a changed structure.
 
     `exterior_free` orders X0, Y0, Z0 and the three angles of `rotation_system`; `interior_free` orders the elements of
     each camera's model, padded with False.
@@ -115,6 +116,9 @@ class Structure:
     findings: tuple[Finding, ...] = ()  # what reading and preparing the block found
     inner_orientations: tuple[InnerOrientation, ...] = ()  # fits that brought the rays of scanned film from px to mm
 
+    def __post_init__(self) -> None:
+        freeze_arrays(self)
+
     @property
     def exterior_elements(self) -> tuple[str, ...]:
         """X0, Y0, Z0 and the names of the angles."""
@@ -138,6 +142,7 @@ class Structure:
         if not (np.diff(pair) > 0).all():  # else they are in order and differ
             order = np.argsort(pair, kind="stable")
             repeat[order] = np.arange(len(pair)) - np.searchsorted(pair[order], pair[order])
+        repeat.setflags(write=False)
         return repeat
 
     @property

@@ -25,7 +25,7 @@ from jaxtyping import Array, Bool, Float, Int
 
 from jaxbundle.camera.collinearity import Vector
 from jaxbundle.geometry.rotation import Rotation, Scalar
-from jaxbundle.numerics.host import array_module, on_device, on_host
+from jaxbundle.numerics.host import array_module, freeze_arrays, on_device, on_host
 from jaxbundle.numerics.trial import defect
 
 
@@ -76,11 +76,15 @@ def _tried(kind: ObservationKind, elements: int) -> str:
 
 @dataclass(frozen=True, eq=False)
 class GroupStructure:
-    """Who each member touches, and which of its components are observed. Compared by identity: static under jit."""
+    """Who each member touches, and which of its components are observed. Compared by identity: static under jit, so its
+    arrays are read-only."""
 
     kind: ObservationKind
     indices: Int[np.ndarray, "member touched"]
     observed: Bool[np.ndarray, "member component"]
+
+    def __post_init__(self) -> None:
+        freeze_arrays(self)
 
 
 class ObservationGroup(eqx.Module):
