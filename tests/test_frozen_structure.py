@@ -16,7 +16,9 @@ def _arrays(holder) -> dict[str, np.ndarray]:
     return {name: value for name, value in values.items() if isinstance(value, np.ndarray)}
 
 
-@pytest.mark.parametrize("holder", [BLOCK.structure, *(group.structure for group in BLOCK.groups)], ids=lambda s: type(s).__name__)
+@pytest.mark.parametrize(
+    "holder", [BLOCK.structure, *(group.structure for group in BLOCK.groups)], ids=lambda s: type(s).__name__
+)
 def test_arrays_are_read_only(holder):
     arrays = _arrays(holder)
     assert len(arrays) >= 2

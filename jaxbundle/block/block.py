@@ -202,7 +202,8 @@ class Block(eqx.Module):
         counts += [counted(len(s.ray_image), "ray"), counted(len(s.cameras), "camera")]
         others: dict[str, int] = {}
         for group in self.groups:
-            others[group.structure.kind.name] = others.get(group.structure.kind.name, 0) + group.count
+            table = group.structure.kind.table
+            others[table] = others.get(table, 0) + group.count
         counts += [f"{count} {name}" for name, count in others.items()]
         return f"<Block {s.name or '(unnamed)'}: {', '.join(counts)}>"
 

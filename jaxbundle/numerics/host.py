@@ -51,8 +51,8 @@ def array_module(tree: Any) -> Any:
 def freeze_arrays(holder: Any) -> None:
     """Makes the numpy arrays among the fields of a dataclass read-only, for use at its construction.
 
-    What is compiled and what is planned for the holder is found again by its identity, so its arrays must not change. An
-    array that its caller could still write to is replaced by a copy.
+    What is compiled and what is planned for the holder is found again by its identity, so its arrays must not change.
+    An array that its caller could still write to is replaced by a copy.
     """
     for field in dataclasses.fields(holder):
         value = getattr(holder, field.name)

@@ -44,7 +44,7 @@ class GroupTable:
 
 def table_name(kind: ObservationKind) -> str:
     """The name of a kind's table in a report."""
-    name = OTHER_NAMES.get(kind.name, kind.name)
+    name = OTHER_NAMES.get(kind.table, kind.table)
     return f"{name}_observed" if name in TAKEN else name
 
 

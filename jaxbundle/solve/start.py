@@ -33,7 +33,7 @@ def require_finite_start(block: Block, plan: Arrangement, unknowns: Arranged, p:
     rays = on_host(restored_rays(plan, parts[:cells], parts[cells:of_groups]))
     problems = list(_of_rays(block, np.flatnonzero(_is_bad(rays))))
     for group, residuals in zip(block.groups, parts[of_groups:], strict=True):
-        name = group.structure.kind.name
+        name = group.structure.kind.table
         problems += [
             Problem(
                 f"the observed value and what is computed from the approximate values differ by {_size(v)} sigmas",

@@ -172,7 +172,7 @@ class _Collection:
         ]
         tables["control"] = [("", control)]
         for k, group in enumerate(self.block.groups, 1):
-            name = group.structure.kind.name
+            name = group.structure.kind.table
             if name in ("stations", "attitudes"):
                 tables.setdefault(name, [])
                 tables[name] += [(of, [(k, r) for r in rows]) for of, rows in _sharing(self.block, group)]

@@ -124,4 +124,4 @@ def describe(block: Block, table: int, row: int, component: int) -> tuple[tuple[
         "parameter": tuple(p.name for p in s.parameters),
     }
     touched = tuple(names[kind][i] for kind, i in zip(structure.kind.touches, structure.indices[row], strict=True))
-    return touched, structure.kind.name, structure.kind.components[component]
+    return touched, structure.kind.table, structure.kind.components[component]
