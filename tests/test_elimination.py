@@ -18,8 +18,8 @@ from jaxbundle.normals.arrange import arrange, arranged_unknowns, problem, resto
 from jaxbundle.normals.reduced_plan import Method
 from jaxbundle.solve.adjust import adjust
 from jaxbundle.solve.adjustment import Status
+from jaxbundle.solve.damping import Undamped
 from jaxbundle.solve.levenberg_marquardt import Arguments, BundleSolver, run
-from jaxbundle.solve.search import FullStep
 from jaxbundle.solve.stopping import AngleRule
 
 DAMPINGS = (1e-12, 1e-8, 1e-4, 1e-2, 1.0, 1e3, 1e6)
@@ -34,11 +34,11 @@ def block_steps(block: Block, dampings: tuple[float, ...], reduced: Method, devi
         arranged_unknowns(arrangement, unknowns_of(block)),
         Arguments(problem(arrangement, block), AngleRule()),
     )
-    solver = BundleSolver(FullStep())  # which takes whatever step it is given
+    solver = BundleSolver(Undamped())  # which takes whatever step it is given
     stepped = []
     for damping in dampings:
-        state = eqx.tree_at(lambda s: s.search.damping, solver.first(), jnp.array(damping, float))
-        stepped.append(restored_unknowns(arrangement, run(solver, start, args, state, 1, optimised=False)[0]))
+        state = eqx.tree_at(lambda s: s.damping.factor, solver.first(), jnp.array(damping, float))
+        stepped.append(restored_unknowns(arrangement, run(solver, start, args, state, 1, optimised=False).unknowns))
     return stepped
 
 

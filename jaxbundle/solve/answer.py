@@ -25,6 +25,7 @@ from jaxbundle.solve.adjustment import Adjustment, BlockCofactors, Iterations, S
 from jaxbundle.solve.free_network import InnerCofactors, inner_cofactors_of
 from jaxbundle.solve.implicit_precision import with_derivatives
 from jaxbundle.solve.levenberg_marquardt import FLAT, is_flat
+from jaxbundle.solve.options import Options
 from jaxbundle.solve.undetermined import End, Undetermined, undetermined
 
 
@@ -45,8 +46,7 @@ class Ended(NamedTuple):
 
     iterations: Iterations
     origin: Float[Array, "3"]
-    rule: str
-    method: str
+    options: Options
     precision: bool
     inspected: bool
     optimised: bool
@@ -112,8 +112,7 @@ def adjustment(
         blocks,
         redundancy_numbers,
         iterations,
-        ended.rule,
-        ended.method,
+        ended.options,
         plan.method,
         (*block.structure.findings, *loose.findings, *weak),
         undetermined_directions=loose.directions,

@@ -25,7 +25,6 @@ from jaxbundle.numerics.host import on_device
 from jaxbundle.numerics.trial import first_line
 from jaxbundle.solve.adjustment import Adjustment
 from jaxbundle.solve.free_network import carrying_places, with_inner_constraints
-from jaxbundle.solve.robust import reweighted
 
 EXAMPLE = "for example jb.covariance_of(result, lambda block: block.object_points[jnp.array([3, 7])])"
 
@@ -65,7 +64,7 @@ def covariance_of(adjustment: Adjustment, function: Callable[[Block], Array]) ->
     require_a(Adjustment, adjustment, "covariance_of")
     if adjustment.reduced == "pcg":
         raise ValueError("conjugate gradients give no variances: adjust with another solver")
-    adjusted = reweighted(adjustment)
+    adjusted = adjustment.weighted_block
     values, derivatives = _linearised(adjusted, function)
     block = with_datum(adjusted)
     centres = np.asarray(block.exterior.projection_centre)

@@ -46,7 +46,7 @@ from jaxbundle.normals.step import (  # noqa: E402
 from jaxbundle.normals.substitute import image_values, substitute  # noqa: E402
 from jaxbundle.numerics.devices import AXIS, device_mesh  # noqa: E402
 from jaxbundle.solve.adjust import RAYS_FOR_DEVICES  # noqa: E402
-from jaxbundle.solve.search import DampedSearch  # noqa: E402
+from jaxbundle.solve.damping import Marquardt  # noqa: E402
 
 EVERYWHERE: Any = PartitionSpec()
 REPETITIONS, LONG = 9, 20.0  # turns, and seconds after which no further one begins
@@ -59,7 +59,9 @@ def arranged(block: Block, direct: bool, solver: Method = "auto") -> tuple[Arran
     devices = jax.local_device_count() if len(block.structure.ray_image) >= RAYS_FOR_DEVICES else 1
     centres = np.asarray(block.exterior.projection_centre)
     plan = arrange(block.structure, block.groups, centres, devices, solver, direct)
-    return placed(arranged_unknowns(plan, unknowns_of(centred)), problem(plan, centred), DampedSearch().first().damping)
+    return placed(
+        arranged_unknowns(plan, unknowns_of(centred)), problem(plan, centred), Marquardt().initial_state().factor
+    )
 
 
 def on_devices(function: Callable[..., Any], p: Problem, in_specs: tuple, out_specs: Any) -> Callable[..., Any]:
