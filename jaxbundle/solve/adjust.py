@@ -21,7 +21,8 @@ from jaxbundle.block.given import require_a
 from jaxbundle.block.residuals import observations_of
 from jaxbundle.block.unknowns import unknowns_of
 from jaxbundle.block.validate import require_valid
-from jaxbundle.normals.arrange import Arranged, Arrangement, arrange, arranged_unknowns, problem, restored_unknowns
+from jaxbundle.normals.arrange import Arranged, Arrangement, arranged_unknowns, problem, restored_unknowns
+from jaxbundle.normals.plans import planned
 from jaxbundle.normals.step import placed
 from jaxbundle.numerics.compilation import RAYS_FOR_OPTIMISATION
 from jaxbundle.numerics.host import constant, on_device, on_host
@@ -131,7 +132,7 @@ def _least_squares(block: Block, options: Options, watch: _Watch, inspected: boo
     optimised = len(block.structure.ray_image) >= RAYS_FOR_OPTIMISATION
     centres = np.asarray(values.exterior.projection_centre) if values.concrete else None
     devices, precision = _devices(values, options.devices), options.precision
-    plan = arrange(block.structure, block.groups, centres, devices, options.reduced, precision)
+    plan = planned(block.structure, block.groups, centres, devices, options.reduced, precision)
     rule = options.stop.of(centred)
     run = _Run(centred, plan, Arguments(problem(plan, centred), rule.arranged(plan.order)), optimised, options, watch)
     arranged, iterations = _solved(run, rule)

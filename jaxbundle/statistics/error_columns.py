@@ -27,7 +27,8 @@ from jaxbundle.block.block import Block
 from jaxbundle.block.datum import with_datum
 from jaxbundle.block.residuals import Observations, observations_of
 from jaxbundle.block.unknowns import Unknowns, unknowns_of
-from jaxbundle.normals.arrange import Arranged, Problem, arrange, arranged_unknowns, problem
+from jaxbundle.normals.arrange import Arranged, Problem, arranged_unknowns, problem
+from jaxbundle.normals.plans import planned
 from jaxbundle.normals.solution import solve_normals
 from jaxbundle.normals.vector import NormalVector, arranged_vectors
 from jaxbundle.numerics.compilation import RAYS_FOR_OPTIMISATION, Compiled
@@ -116,7 +117,7 @@ def _explained_by_elimination(
 ) -> Float[np.ndarray, "column column"]:
     """(A^T C)^T N^-1 (A^T C) by the elimination of the points."""
     centres = np.asarray(block.exterior.projection_centre)
-    plan = arrange(block.structure, block.groups, centres, 1, "auto", True)
+    plan = planned(block.structure, block.groups, centres, 1, "auto", True)
     padded = [np.pad(x, [(0, grid_size(len(x)) - len(x)), *[(0, 0)] * (x.ndim - 1)]) for x in products]
     rows = NormalVector(*map(on_device, arranged_vectors(plan, block.structure, *padded)))
     optimised = len(block.structure.ray_image) >= RAYS_FOR_OPTIMISATION

@@ -17,7 +17,8 @@ from jaxbundle.block.block import Block
 from jaxbundle.block.datum import with_datum
 from jaxbundle.block.given import require_a
 from jaxbundle.block.unknowns import angle_derivatives, unknowns_of
-from jaxbundle.normals.arrange import Arranged, Arrangement, Problem, arrange, arranged_unknowns, problem
+from jaxbundle.normals.arrange import Arranged, Arrangement, Problem, arranged_unknowns, problem
+from jaxbundle.normals.plans import planned
 from jaxbundle.normals.solution import solve_normals
 from jaxbundle.normals.vector import NormalVector, arranged_vectors
 from jaxbundle.numerics.compilation import RAYS_FOR_OPTIMISATION, Compiled
@@ -69,7 +70,7 @@ def covariance_of(adjustment: Adjustment, function: Callable[[Block], Array]) ->
     block = with_datum(adjusted)
     centres = np.asarray(block.exterior.projection_centre)
     centred = block.moved(on_device(-centres.mean(0)))
-    plan = arrange(block.structure, block.groups, centres, 1, "auto", True)
+    plan = planned(block.structure, block.groups, centres, 1, "auto", True)
     args = arranged_unknowns(plan, unknowns_of(centred)), problem(plan, centred)
     rows = _arranged_rows(plan, block, derivatives)
     inner = block.structure.datum.constraints
