@@ -7,8 +7,9 @@ a pytree. So an adjustment can be traced, differentiated and vmapped in every va
 Units: object coordinates and image coordinates in the user's units, angles in radians.
 """
 
-from dataclasses import dataclass
+from dataclasses import dataclass, field
 from functools import cached_property
+from typing import NamedTuple
 
 import equinox as eqx
 import numpy as np
@@ -43,15 +44,30 @@ class Camera:
         return ("mm" if in_mm else self.image_unit) if element in IN_IMAGE_UNIT else ""
 
 
+class Owner(NamedTuple):
+    """Whose a parameter is: a row of a table, such as ("planes", "roof"), or the group of a section, ("navigation",
+    "strip 1")."""
+
+    table: str
+    name: str
+
+    @property
+    def words(self) -> str:
+        """The owner in a sentence: "plane roof"; of a navigation group its name alone."""
+        return self.name if self.table == "navigation" else f"{self.table.removesuffix('s')} {self.name}"
+
+
 @dataclass(frozen=True)
 class Parameter:
     """An unknown that is no coordinate, angle or interior element, as a shift of the navigation data; `unit` as the
-    user reads it, "" where it has none; `angle`: it is one, in radians inside."""
+    user reads it, "" where it has none; `angle`: it is one, in radians inside. `owner`: what it belongs to, if it is
+    not an unknown of its own; several parameters may have the same one."""
 
     name: str
     unit: str = ""
     free: bool = True
     angle: bool = False
+    owner: Owner | None = field(default=None, compare=False)
 
 
 @dataclass(frozen=True)
