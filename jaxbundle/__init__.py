@@ -59,8 +59,9 @@ if TYPE_CHECKING:
     from jaxbundle.solve.adjust import Progress, adjust
     from jaxbundle.solve.adjustment import Adjustment, Status
     from jaxbundle.solve.batch import Batch, Outcome, adjust_many
-    from jaxbundle.solve.robust import Cauchy, Danish, Huber, Tukey
+    from jaxbundle.solve.options import Options
     from jaxbundle.solve.stopping import AngleRule, PointRule, parallax_rule, unknown_rule
+    from jaxbundle.solve.weight_functions import Cauchy, Danish, Huber, Tukey
     from jaxbundle.statistics.components import VarianceComponents, variance_components
     from jaxbundle.statistics.influence import control_influence, influence
     from jaxbundle.statistics.precision import covariance_of, error_ellipses, error_ellipsoids
@@ -126,8 +127,9 @@ _MODULES = {
     "solve.adjust": ("Progress", "adjust"),
     "solve.adjustment": ("Adjustment", "Status"),
     "solve.batch": ("Batch", "Outcome", "adjust_many"),
-    "solve.robust": ("Cauchy", "Danish", "Huber", "Tukey"),
+    "solve.options": ("Options",),
     "solve.stopping": ("AngleRule", "PointRule", "parallax_rule", "unknown_rule"),
+    "solve.weight_functions": ("Cauchy", "Danish", "Huber", "Tukey"),
     "statistics.components": ("VarianceComponents", "variance_components"),
     "statistics.influence": ("control_influence", "influence"),
     "statistics.precision": ("covariance_of", "error_ellipses", "error_ellipsoids"),
@@ -179,6 +181,7 @@ __all__ = [
     "InteriorOrientation",
     "ObservationGroup",
     "ObservationKind",
+    "Options",
     "Outcome",
     "Parameter",
     "PointRule",

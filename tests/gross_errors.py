@@ -303,7 +303,7 @@ def scale_bar(block: Block, rng: np.random.Generator) -> Made | None:
 
 def shifted_control(block: Block, rng: np.random.Generator) -> Made | None:
     """All control points are shifted alike against the stations."""
-    if not any(group.structure.kind.name == "stations" for group in block.groups):
+    if not any(group.structure.kind.table == "stations" for group in block.groups):
         return None
     direction = np.eye(3)[rng.integers(3)]
     errors = [
@@ -318,7 +318,7 @@ def shifted_control(block: Block, rng: np.random.Generator) -> Made | None:
 def station(block: Block, rng: np.random.Generator) -> Made | None:
     """A coordinate of an observed station is wrong."""
     for k, group in enumerate(block.groups, 1):
-        if group.structure.kind.name == "stations":
+        if group.structure.kind.table == "stations":
             row = int(rng.integers(len(group.structure.indices)))
             name = block.structure.image_names[group.structure.indices[row, 0]]
             return (Subject("stations", (name,)),), ((_unit(k, row, int(rng.integers(3))), 1.0),), False

@@ -11,7 +11,7 @@ from six_photos import SIGMAS, drawn, true_block, with_sigmas
 
 from jaxbundle.block.block import Block
 from jaxbundle.solve.adjust import adjust
-from jaxbundle.solve.robust import Huber
+from jaxbundle.solve.weight_functions import Huber
 from jaxbundle.statistics import components, dense
 from jaxbundle.statistics.components import FALLEN, LIMIT, REST, SMALL, variance_components, with_components
 from jaxbundle.statistics.dense import redundancy_numbers

@@ -11,7 +11,7 @@ from six_photos import drawn, true_block
 
 from jaxbundle.block.block import Block
 from jaxbundle.solve.adjust import adjust
-from jaxbundle.solve.robust import Huber
+from jaxbundle.solve.weight_functions import Huber
 from jaxbundle.statistics import dense
 from jaxbundle.statistics.dense import block_system, redundancy_numbers
 from jaxbundle.statistics.subsets import all_observations

@@ -127,7 +127,7 @@ def test_two_rays_on_one_image_are_one_image(block):
     alone = dataclasses.replace(alone, rays=Rays(block.rays.coordinates[keep], block.rays.sigmas[keep]))
     alone = measured_again(alone, np.flatnonzero(alone.structure.ray_point == tie))
     assert [p.what for p in validate(alone)] == [f"point {s.point_names[tie]} is seen on one image only"]
-    parallax = parallax_rule(block, 1e-6).parallax(centred(block)[0])
+    parallax = parallax_rule(block, 1e-6).of(block).parallax(centred(block)[0])
     assert np.isfinite(parallax).all()
 
 

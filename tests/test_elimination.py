@@ -19,8 +19,8 @@ from jaxbundle.normals.plan.elimination_plan import plan_elimination
 from jaxbundle.normals.plan.reduced_plan import Method
 from jaxbundle.solve.adjust import adjust
 from jaxbundle.solve.adjustment import Status
+from jaxbundle.solve.damping import Undamped
 from jaxbundle.solve.levenberg_marquardt import Arguments, BundleSolver, run
-from jaxbundle.solve.search import FullStep
 from jaxbundle.solve.stopping import AngleRule
 
 DAMPINGS = (1e-12, 1e-8, 1e-4, 1e-2, 1.0, 1e3, 1e6)
@@ -35,11 +35,11 @@ def block_steps(block: Block, dampings: tuple[float, ...], reduced: Method, devi
         to_elimination_order(arrangement, unknowns_of(block)),
         Arguments(problem(arrangement, block), AngleRule()),
     )
-    solver = BundleSolver(FullStep())  # which takes whatever step it is given
+    solver = BundleSolver(Undamped())  # which takes whatever step it is given
     stepped = []
     for damping in dampings:
-        state = eqx.tree_at(lambda s: s.search.damping, solver.first(), jnp.array(damping, float))
-        stepped.append(to_block_order(arrangement, run(solver, start, args, state, 1, optimised=False)[0]))
+        state = eqx.tree_at(lambda s: s.damping.factor, solver.first(), jnp.array(damping, float))
+        stepped.append(to_block_order(arrangement, run(solver, start, args, state, 1, optimised=False).unknowns))
     return stepped
 
 

@@ -3,6 +3,7 @@
 import jax
 import jax.numpy as jnp
 import numpy as np
+import pytest
 
 from jaxbundle.numerics.linear_map import linear_map
 from jaxbundle.numerics.stored import stored
@@ -45,7 +46,7 @@ def mapped(matrix: jax.Array, x: jax.Array) -> jax.Array:
         turns = 1 + jnp.sum(jnp.isnan(matrix))
         return jax.lax.fori_loop(0, turns, lambda _, y: y + matrix @ v, jnp.zeros(2))
 
-    return linear_map(forward, lambda c: matrix.T @ c, x, 2, matrix)
+    return linear_map(forward, lambda c: matrix.T @ c, x, 2, matrix, "no derivative by the matrix")
 
 
 def test_a_linear_map_is_differentiated_both_ways():
@@ -59,4 +60,28 @@ def test_a_linear_map_is_differentiated_both_ways():
 
 def test_what_it_is_made_of_has_no_derivative():
     matrix = jnp.array([[1.0, 2.0, 3.0], [-1.0, 0.5, 4.0]])
-    assert jnp.isnan(jax.grad(lambda m: mapped(m, X).sum())(matrix)).any()
+    for derivative in (jax.grad, jax.jacfwd, jax.jacrev):
+        for of in (derivative(lambda m: mapped(m, X).sum()), jax.jit(derivative(lambda m: mapped(m, X).sum()))):
+            with pytest.raises(ValueError, match="no derivative by the matrix"):
+                of(matrix)
+
+
+def test_a_linear_map_along_a_tangent_is_differentiated_once():
+    """As where the derivative of one function is written by another: first derivatives do not ask for those of L."""
+
+    @jax.custom_jvp
+    def square(x: jax.Array) -> jax.Array:
+        return jnp.array([1.0, 2.0]) * (x @ x)
+
+    @square.defjvp
+    def _(primals: tuple, tangents: tuple) -> tuple[jax.Array, jax.Array]:
+        (x,), (t,) = primals, tangents
+        rows = jnp.outer(jnp.array([2.0, 4.0]), x)
+        return square(x), linear_map(lambda v: rows @ v, lambda c: rows.T @ c, t, 2, rows, "once only")
+
+    expected = np.outer([2.0, 4.0], X)
+    for jacobian in (jax.jacfwd, jax.jacrev, lambda f: jax.jit(jax.jacrev(f))):
+        np.testing.assert_allclose(jacobian(square)(X), expected, rtol=1e-15)
+    for second in (jax.hessian(square), jax.jacrev(jax.jacrev(square)), jax.jit(jax.jacfwd(jax.jacfwd(square)))):
+        with pytest.raises(ValueError, match="once only"):
+            second(X)

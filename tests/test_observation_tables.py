@@ -47,7 +47,7 @@ def test_observations_between_ends(folder: Path, block: Block) -> None:
         rows = pl.read_csv(folder / f"{table}.csv", infer_schema=False)
         unit = GON if table in ANGLES else 1.0
         found = {}
-        for group in (group for group in block.groups if group.structure.kind.name == table):
+        for group in (group for group in block.groups if group.structure.kind.table == table):
             start, end = group.structure.kind.touches[:2]
             np.testing.assert_allclose(group.sigmas, sigma * unit, rtol=1e-15)
             for (i, j), value in zip(group.structure.indices.tolist(), np.asarray(group.values)[:, 0], strict=True):

@@ -33,7 +33,7 @@ def conforming(block: Block) -> Block:
         for group in block.groups
     ]
     order = ["control", *kinds, "stations", "attitudes", "interior", "parameters"]
-    groups.sort(key=lambda group: order.index(group.structure.kind.name))
+    groups.sort(key=lambda group: order.index(group.structure.kind.table))
     return dataclasses.replace(block, groups=tuple(groups))
 
 
@@ -62,7 +62,7 @@ def test_blocks_built_in_python(tmp_path: Path, name: str) -> None:
         ):
             free = [[b.structure.parameters[p].free for p in r] for b, r in ((block, row), (again, row_again))]
             assert free[0] == free[1]
-            if kind.name in ("scale_bars", "stations", "attitudes", "parameters"):
+            if kind.table in ("scale_bars", "stations", "attitudes", "parameters"):
                 np.testing.assert_allclose(block.parameters[row], again.parameters[row_again], rtol=4e-15)
 
 
@@ -111,7 +111,7 @@ def with_indices(block: Block, name: str, change_of) -> Block:
     """A block of which a kind of observation touches something else."""
 
     def changed(group: ObservationGroup) -> ObservationGroup:
-        if group.structure.kind.name != name or len(group.structure.kind.touches) == 1:
+        if group.structure.kind.table != name or len(group.structure.kind.touches) == 1:
             return group
         indices = np.array(group.structure.indices)
         change_of(indices)

@@ -122,7 +122,7 @@ def test_all_ends_in_one_table(folder) -> None:
 def test_angles_in_the_unit_of_the_folder(adjustment, folder) -> None:
     for name, column in (("azimuths", "azimuth"), ("zenith_angles", "angle"), ("directions", "direction")):
         table = pl.read_csv(folder / f"{name}.csv")
-        groups = [(k, g) for k, g in enumerate(adjustment.block.groups) if g.structure.kind.name == name]
+        groups = [(k, g) for k, g in enumerate(adjustment.block.groups) if g.structure.kind.table == name]
         values = np.concatenate([np.asarray(group.values)[:, 0] for _, group in groups])
         residuals = np.concatenate([np.asarray(adjustment.residuals[k + 1])[:, 0] for k, _ in groups])
         np.testing.assert_allclose(table[column], values / GON, rtol=1e-14)

@@ -9,7 +9,7 @@ import pytest
 from jaxbundle.planning.simulate import simulate
 from jaxbundle.solve import robust as solve_robust
 from jaxbundle.solve.adjust import adjust
-from jaxbundle.solve.robust import WEIGHT_FUNCTIONS, Huber, Tukey
+from jaxbundle.solve.weight_functions import WEIGHT_FUNCTIONS, Huber, Tukey
 
 pytestmark = pytest.mark.xdist_group("robust")  # its fixtures are dear: one worker makes them
 

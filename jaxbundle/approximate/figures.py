@@ -91,7 +91,8 @@ def _upward(direction: Float[np.ndarray, "3"]) -> Float[np.ndarray, "3"]:
 
 
 def _no_figure(block: Block, plane: bool, row: int, indices: np.ndarray) -> Problem:
-    name = block.structure.parameters[indices[1]].name.partition(" of ")[2]
+    parameter = block.structure.parameters[indices[1]]
+    name = parameter.owner.words if parameter.owner else parameter.name
     where = "lie on one line" if plane else "lie in one place"
     cure = f"name points that are spread over the {'plane' if plane else 'line'}, or correct their coordinates"
     return Problem(f"{name}: its points {where}", cure, "planes" if plane else "lines", row)

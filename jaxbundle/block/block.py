@@ -7,8 +7,9 @@ a pytree. So an adjustment can be traced, differentiated and vmapped in every va
 Units: object coordinates and image coordinates in the user's units, angles in radians.
 """
 
-from dataclasses import dataclass
+from dataclasses import dataclass, field
 from functools import cached_property
+from typing import NamedTuple
 
 import equinox as eqx
 import numpy as np
@@ -20,7 +21,7 @@ from jaxbundle.block.wording import counted
 from jaxbundle.camera.fiducials import InnerOrientation
 from jaxbundle.camera.model import CameraModel, mixture
 from jaxbundle.geometry.rotation import OMEGA_PHI_KAPPA, RotationSystem
-from jaxbundle.numerics.host import array_module, is_concrete, on_device, on_host
+from jaxbundle.numerics.host import array_module, freeze_arrays, is_concrete, on_device, on_host
 
 CENTRE_ELEMENTS = ("X0", "Y0", "Z0")
 IN_IMAGE_UNIT = ("principal_distance", "x0", "y0", "f")  # interior elements that are lengths in the image
@@ -43,15 +44,30 @@ class Camera:
         return ("mm" if in_mm else self.image_unit) if element in IN_IMAGE_UNIT else ""
 
 
+class Owner(NamedTuple):
+    """Whose a parameter is: a row of a table, such as ("planes", "roof"), or the group of a section, ("navigation",
+    "strip 1")."""
+
+    table: str
+    name: str
+
+    @property
+    def words(self) -> str:
+        """The owner in a sentence: "plane roof"; of a navigation group its name alone."""
+        return self.name if self.table == "navigation" else f"{self.table.removesuffix('s')} {self.name}"
+
+
 @dataclass(frozen=True)
 class Parameter:
     """An unknown that is no coordinate, angle or interior element, as a shift of the navigation data; `unit` as the
-    user reads it, "" where it has none; `angle`: it is one, in radians inside."""
+    user reads it, "" where it has none; `angle`: it is one, in radians inside. `owner`: what it belongs to, if it is
+    not an unknown of its own; several parameters may have the same one."""
 
     name: str
     unit: str = ""
     free: bool = True
     angle: bool = False
+    owner: Owner | None = field(default=None, compare=False)
 
 
 @dataclass(frozen=True)
@@ -89,7 +105,8 @@ class Datum:
 
 @dataclass(frozen=True, eq=False)
 class Structure:
-    """Names, incidences and which elements are unknown. Compared by identity: static under jit.
+    """Names, incidences and which elements are unknown. Compared by identity: static under jit, so its arrays are
+    read-only; `dataclasses.replace` makes a changed structure.
 
     `exterior_free` orders X0, Y0, Z0 and the three angles of `rotation_system`; `interior_free` orders the elements of
     each camera's model, padded with False.
@@ -115,6 +132,9 @@ class Structure:
     findings: tuple[Finding, ...] = ()  # what reading and preparing the block found
     inner_orientations: tuple[InnerOrientation, ...] = ()  # fits that brought the rays of scanned film from px to mm
 
+    def __post_init__(self) -> None:
+        freeze_arrays(self)
+
     @property
     def exterior_elements(self) -> tuple[str, ...]:
         """X0, Y0, Z0 and the names of the angles."""
@@ -138,6 +158,7 @@ class Structure:
         if not (np.diff(pair) > 0).all():  # else they are in order and differ
             order = np.argsort(pair, kind="stable")
             repeat[order] = np.arange(len(pair)) - np.searchsorted(pair[order], pair[order])
+        repeat.setflags(write=False)
         return repeat
 
     @property
@@ -198,7 +219,8 @@ class Block(eqx.Module):
         counts += [counted(len(s.ray_image), "ray"), counted(len(s.cameras), "camera")]
         others: dict[str, int] = {}
         for group in self.groups:
-            others[group.structure.kind.name] = others.get(group.structure.kind.name, 0) + group.count
+            table = group.structure.kind.table
+            others[table] = others.get(table, 0) + group.count
         counts += [f"{count} {name}" for name, count in others.items()]
         return f"<Block {s.name or '(unnamed)'}: {', '.join(counts)}>"
 

@@ -286,7 +286,7 @@ def _group_arrays(s: Structure, group: ObservationGroup) -> Iterator[Problem]:
         yield Problem(
             f"observations of kind {kind.name} touch {unknown[0]!r}",
             f"name entities of the block: {', '.join(ENTITIES)}",
-            kind.name,
+            kind.table,
         )
         return
     members = len(indices) if getattr(indices, "ndim", 0) == 2 else 0
@@ -305,7 +305,7 @@ def _group_arrays(s: Structure, group: ObservationGroup) -> Iterator[Problem]:
     if wrong[0] is None:
         for column, entity in enumerate(kind.touches):
             at = indices[:, column] if isinstance(indices, np.ndarray) else indices
-            yield from _index_problems(f"row {{}} of {kind.name}", at, _counts(s)[entity], kind.name, entity)
+            yield from _index_problems(f"row {{}} of {kind.name}", at, _counts(s)[entity], kind.table, entity)
 
 
 def _are_names(names: Any) -> bool:
@@ -321,7 +321,7 @@ def _kind_problems(s: Structure, group: ObservationGroup) -> Iterator[Problem]:
         yield Problem(
             f"the residual of observations of kind {kind.name!r} {wrong}",
             f"write residual({takes}) -> {len(kind.components)} residuals in a tuple, of scalars with jax.numpy",
-            kind.name,
+            kind.table,
         )
 
 
@@ -377,10 +377,10 @@ def unusable_numbers(block: Block) -> list[Problem]:
         kind = group.structure.kind
         for row in np.flatnonzero(~np.isfinite(np.asarray(group.constants)).all(1)):
             what = f"one of {', '.join(kind.constants)} is not a finite number"
-            found.append(Problem(what, "give the number or drop the row", kind.name, int(row)))
+            found.append(Problem(what, "give the number or drop the row", kind.table, int(row)))
         for row in _indefinite(group):
             what = "the covariances are not those of a positive definite matrix"
-            found.append(Problem(what, "give a covariance matrix of positive eigenvalues", kind.name, int(row)))
+            found.append(Problem(what, "give a covariance matrix of positive eigenvalues", kind.table, int(row)))
     return found
 
 

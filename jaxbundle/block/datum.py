@@ -8,6 +8,7 @@ import scipy.linalg
 
 from jaxbundle.block.block import Block, Datum
 from jaxbundle.block.datum_defect import DatumDefect, datum_defect, insufficient, sensitivity
+from jaxbundle.block.derived import derived
 from jaxbundle.block.given import require_a
 from jaxbundle.block.problems import BlockError, Problem
 
@@ -113,4 +114,4 @@ def inner_needs_none() -> Problem:
 
 
 def _with_structure(block: Block, **changes: object) -> Block:
-    return dataclasses.replace(block, structure=dataclasses.replace(block.structure, **changes))
+    return dataclasses.replace(block, structure=derived(block.structure, **changes))

@@ -50,8 +50,8 @@ def _out_of_range(block: Block) -> Iterator[Problem]:
     sigmas: list[tuple[str, Any]] = [("rays", block.rays.sigmas)]
     for group in block.groups:
         kind = group.structure.kind
-        tables += [(kind.name, "observed value", group.values), (kind.name, "constant", group.constants)]
-        sigmas.append((kind.name, group.sigmas if group.covariances is None else np.sqrt(_variances(group))))
+        tables += [(kind.table, "observed value", group.values), (kind.table, "constant", group.constants)]
+        sigmas.append((kind.table, group.sigmas if group.covariances is None else np.sqrt(_variances(group))))
     for table, name, values in tables:
         size = np.abs(np.asarray(values, float))
         rows = (size > LARGEST).any(1)
@@ -82,7 +82,7 @@ def _turned(block: Block) -> Iterator[Problem]:
     tables = [("images", np.asarray(block.exterior.angles))]
     for group in block.groups:
         if group.structure.kind.name in (*ANGLES, "attitudes"):
-            tables.append((group.structure.kind.name, np.asarray(group.values)))
+            tables.append((group.structure.kind.table, np.asarray(group.values)))
     for table, angles in tables:
         out = np.abs(angles) > MAX_TURNS * 2 * np.pi
         if out.any():
@@ -115,7 +115,7 @@ def _without_length(block: Block) -> Iterator[Problem]:
                 f"{a} and {b} have the same approximate {same}, so the {kind.components[0]} between them is undefined"
             )
             cure = "correct the names or the approximate coordinates; points one above the other are a plumb line"
-            yield from _told(rows, kind.name, what, cure)
+            yield from _told(rows, kind.table, what, cure)
 
 
 def repeated_rows(block: Block) -> tuple[Finding, ...]:
@@ -126,13 +126,15 @@ def repeated_rows(block: Block) -> tuple[Finding, ...]:
         rows = np.column_stack([group.structure.indices, np.asarray(group.values), np.asarray(group.sigmas)])
         repeats = len(rows) - len(np.unique(rows, axis=0))
         if repeats:
-            count = f"{repeats} row of {kind.name} repeats" if repeats == 1 else f"{repeats} rows of {kind.name} repeat"
+            count = (
+                f"{repeats} row of {kind.table} repeats" if repeats == 1 else f"{repeats} rows of {kind.table} repeat"
+            )
             found.append(
                 Finding(
                     Kind.INFORMATION,
                     f"{count} another one to the last digit; each counts as an observation of its own",
                     "drop those that are copies, for they make the standard deviations too small",
-                    (Subject(kind.name),),
+                    (Subject(kind.table),),
                     float(repeats),
                     "rows",
                 )

@@ -38,7 +38,16 @@ def _alpha_omega_kappa(image: tuple[Vector, Rotation], *numbers) -> Vector:
 
 
 _TOUCHES = ("image", *["parameter"] * 9)
-GNSS = ObservationKind("stations", ("X0", "Y0", "Z0"), _TOUCHES, _centre, in_object_system=True, constants=("time",))
+# rows of one table with those observed stations that have no systematic errors
+GNSS = ObservationKind(
+    "gnss_stations",
+    ("X0", "Y0", "Z0"),
+    _TOUCHES,
+    _centre,
+    in_object_system=True,
+    constants=("time",),
+    table="stations",
+)
 ATTITUDES = {
     system.name: ObservationKind("attitudes", system.angles, _TOUCHES, residual, constants=("time",))
     for system, residual in ((OMEGA_PHI_KAPPA, _omega_phi_kappa), (ALPHA_OMEGA_KAPPA, _alpha_omega_kappa))

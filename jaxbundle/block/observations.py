@@ -25,15 +25,17 @@ from jaxtyping import Array, Bool, Float, Int
 
 from jaxbundle.camera.collinearity import Vector
 from jaxbundle.geometry.rotation import Rotation, Scalar
-from jaxbundle.numerics.host import array_module, on_device, on_host
+from jaxbundle.numerics.host import array_module, freeze_arrays, on_device, on_host
 from jaxbundle.numerics.trial import defect
 
 
 @dataclass(frozen=True)
 class ObservationKind:
-    """`name` is the table's; `in_object_system`: observed values are object coordinates and move with the origin.
+    """`name` tells the kind from all others; `in_object_system`: observed values are object coordinates and move with
+    the origin.
 
-    `constants` names the numbers each member has besides; those called X, Y, Z are object coordinates too.
+    `constants` names the numbers each member has besides; those called X, Y, Z are object coordinates too. `table`: the
+    table of a block folder that holds its rows, where that has another name than the kind.
     """
 
     name: str
@@ -42,6 +44,10 @@ class ObservationKind:
     residual: Callable[..., tuple[Scalar, ...]]
     in_object_system: bool = False
     constants: tuple[str, ...] = ()
+    table: str = ""
+
+    def __post_init__(self) -> None:
+        object.__setattr__(self, "table", self.table or self.name)
 
     def residuals(self, touched: tuple, observed: tuple[Scalar, ...], constants: tuple[Scalar, ...]) -> tuple:
         """The residuals of a member, or of many whose scalars are arrays."""
@@ -76,11 +82,15 @@ def _tried(kind: ObservationKind, elements: int) -> str:
 
 @dataclass(frozen=True, eq=False)
 class GroupStructure:
-    """Who each member touches, and which of its components are observed. Compared by identity: static under jit."""
+    """Who each member touches, and which of its components are observed. Compared by identity: static under jit, so its
+    arrays are read-only."""
 
     kind: ObservationKind
     indices: Int[np.ndarray, "member touched"]
     observed: Bool[np.ndarray, "member component"]
+
+    def __post_init__(self) -> None:
+        freeze_arrays(self)
 
 
 class ObservationGroup(eqx.Module):

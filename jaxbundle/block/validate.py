@@ -59,7 +59,7 @@ def _unusable_values(block: Block) -> list[Problem]:
         ("cameras", block.interior.elements, cameras, no_number, "give the camera its interior elements"),
         ("images", orientations, images, no_number, "give the image approximate values"),
         ("rays", block.rays.coordinates, None, no_number, "give both image coordinates or drop the ray"),
-        *((g.structure.kind.name, g.values, None, no_number, "give the value or drop the row") for g in block.groups),
+        *((g.structure.kind.table, g.values, None, no_number, "give the value or drop the row") for g in block.groups),
     ]
     problems = [
         Problem(f"{who[row] if who else 'the row'} {what}", cure, table, int(row))
@@ -78,7 +78,7 @@ def _unusable_values(block: Block) -> list[Problem]:
 
 
 def _unusable_sigmas(block: Block) -> list[Problem]:
-    sigmas = [("rays", block.rays.sigmas), *((group.structure.kind.name, group.sigmas) for group in block.groups)]
+    sigmas = [("rays", block.rays.sigmas), *((group.structure.kind.table, group.sigmas) for group in block.groups)]
     return [
         Problem("a sigma is not positive", "give a positive standard deviation", table, int(row))
         for table, values in sigmas

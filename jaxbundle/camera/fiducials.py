@@ -17,6 +17,8 @@ from typing import NamedTuple
 import numpy as np
 from jaxtyping import Float
 
+from jaxbundle.numerics.host import freeze_arrays
+
 PARAMETERS = {
     "conformal": ("a0", "a1", "a2", "b0"),
     "affine": ("a0", "a1", "a2", "b0", "b1", "b2"),
@@ -51,6 +53,9 @@ class InnerOrientation:
     matrix: Matrix
     fiducials: tuple[str, ...]
     residuals: Float[np.ndarray, "fiducial 2"]
+
+    def __post_init__(self) -> None:
+        freeze_arrays(self)
 
     @property
     def parameters(self) -> dict[str, float]:

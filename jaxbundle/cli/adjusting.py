@@ -1,5 +1,6 @@
 """`jaxbundle adjust`: a path in, summary and findings to standard output, a folder of results."""
 
+import dataclasses
 import math
 from collections.abc import Callable
 from pathlib import Path
@@ -18,31 +19,26 @@ from jaxbundle.cli.progress import COMPILING, ProgressLines
 from jaxbundle.cli.runtime import finished
 from jaxbundle.diagnosis.adjusted import findings
 from jaxbundle.io import read
-from jaxbundle.normals.plan.reduced_plan import Method
 from jaxbundle.numerics.devices import is_first_process
 from jaxbundle.report.columns import wrapped
 from jaxbundle.report.files import require_place, rescue, write_report
 from jaxbundle.solve.adjust import Progress, adjust
 from jaxbundle.solve.adjustment import Adjustment
 from jaxbundle.solve.checkpoint import CheckpointError, ClusterError
-from jaxbundle.solve.robust import WEIGHT_FUNCTIONS, AbstractWeightFunction
+from jaxbundle.solve.options import Options
 from jaxbundle.solve.stopping import AbstractStoppingRule, AngleRule, PointRule, parallax_rule, unknown_rule
+from jaxbundle.solve.weight_functions import WEIGHT_FUNCTIONS, AbstractWeightFunction
 
 
 class Wanted(NamedTuple):
-    """How to solve, as the user says it."""
+    """How to solve, as the user says it. `stop`, `limit` and `unknown` name a stopping rule, which needs the block."""
 
-    method: str
+    options: Options
     stop: str
     limit: float | None
     unknown: tuple[str, ...]
-    max_iterations: int
-    engine: str
-    reduced: Method
     checkpoint: Path | None
-    robust: AbstractWeightFunction | None
     hold_interior: bool
-    precision: bool
 
 
 class Outcome(NamedTuple):
@@ -78,9 +74,9 @@ def adjust_path(path: Path, folder: Path, wanted: Wanted, lines: ProgressLines, 
     with lines.phase("reading"):
         block = read(path)
     block = with_interior_held(block) if wanted.hold_interior else block
-    rule = stopping_rule(block, wanted)
+    options = dataclasses.replace(wanted.options, stop=stopping_rule(block, wanted))
     if is_first_process():
-        require_place(folder, block, wanted.robust is not None)  # before the work, not after it
+        require_place(folder, block, options.robust is not None)  # before the work, not after it
     stop.check()
 
     def progress(iteration: Progress) -> None:
@@ -88,7 +84,7 @@ def adjust_path(path: Path, folder: Path, wanted: Wanted, lines: ProgressLines, 
         stop.step(iteration.accepted)
 
     with lines.phase(COMPILING):
-        adjustment = _adjusted(block, wanted, rule, progress)
+        adjustment = _adjusted(block, options, wanted.checkpoint, progress)
     stop.finish()
     code = Code.ADJUSTED if adjustment.trustworthy else Code.NOT_TRUSTED
     with lines.phase("judging"):  # by all processes alike, since it may adjust again
@@ -125,27 +121,16 @@ def _written(outcome: Outcome) -> Outcome:
 
 
 def _adjusted(
-    block: Block, wanted: Wanted, rule: AbstractStoppingRule, progress: Callable[[Progress], None]
+    block: Block, options: Options, checkpoint: Path | None, progress: Callable[[Progress], None]
 ) -> Adjustment:
     try:
-        return adjust(
-            block,
-            method=wanted.method,
-            stop=rule,
-            max_iterations=wanted.max_iterations,
-            precision=wanted.precision,
-            engine=wanted.engine,
-            reduced=wanted.reduced,
-            checkpoint=wanted.checkpoint,
-            robust=wanted.robust,
-            progress=progress,
-        )
+        return adjust(block, options=options, checkpoint=checkpoint, progress=progress)
     except CheckpointError as error:
         raise typer.BadParameter(str(error)) from error
     except ClusterError as error:
         raise BadInput(str(error)) from error
     except ValueError as error:
-        if isinstance(error, BlockError) or wanted.engine == "block":
+        if isinstance(error, BlockError) or options.engine == "block":
             raise
         raise typer.BadParameter(str(error)) from error  # the second opinion takes small blocks only
     except RuntimeError as error:

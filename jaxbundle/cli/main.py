@@ -181,19 +181,15 @@ def adjust(
         with Interruption() as interruption:
             adjusting = _loaded("adjusting", cluster)
             function = adjusting.weight_function(robust, robust_limit)
-            wanted = adjusting.Wanted(
-                method,
-                stop,
-                limit,
-                tuple(unknown or ()),
-                max_iterations,
-                engine,
-                reduced,
-                checkpoint,
-                function,
-                hold_interior,
-                not no_precision,
+            options = adjusting.Options(
+                method=method,
+                max_iterations=max_iterations,
+                precision=not no_precision,
+                engine=engine,
+                reduced=reduced,
+                robust=function,
             )
+            wanted = adjusting.Wanted(options, stop, limit, tuple(unknown or ()), checkpoint, hold_interior)
             if len(paths) == 1:
                 code = adjusting.run(paths[0], out, wanted, interruption)
             else:

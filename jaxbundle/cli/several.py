@@ -46,11 +46,13 @@ class Task(NamedTuple):
 
 
 class Done(NamedTuple):
-    """A row of the table, the exit code that the path alone would have, and what is said beside the table."""
+    """A row of the table, the exit code that the path alone would have, what is said beside the table, and whether the
+    adjustment was interrupted."""
 
     row: Row
     code: int
     problem: str = ""
+    interrupted: bool = False
 
 
 def run(paths: Sequence[Path], out: Path | None, wanted: Wanted, jobs: int, stop: Interruption) -> int:
@@ -114,7 +116,8 @@ def adjusted(task: Task, wanted: Wanted, stop: Interruption | None = None) -> Do
         return Done(Row(task.name, NOT_ADJUSTED, seconds=seconds, problem=words), code, words)
     row = row_of(task.name, outcome.adjustment, time.perf_counter() - start)
     problems = [problem for problem in (outcome.problem, row.problem) if problem]
-    return Done(row._replace(problem="; ".join(problems)), outcome.code, outcome.problem)
+    interrupted = outcome.adjustment.status is Status.INTERRUPTED
+    return Done(row._replace(problem="; ".join(problems)), outcome.code, outcome.problem, interrupted)
 
 
 def _in_turn(tasks: Sequence[Task], wanted: Wanted, stop: Interruption) -> Iterator[tuple[Task, Done]]:
@@ -122,7 +125,7 @@ def _in_turn(tasks: Sequence[Task], wanted: Wanted, stop: Interruption) -> Itera
     for task in tasks:
         result = adjusted(task, wanted, stop)
         yield task, result
-        if result.row.status == Status.INTERRUPTED.name.lower() or stop.wanted:
+        if result.interrupted or stop.wanted:
             return
 
 

@@ -19,7 +19,7 @@ from jaxbundle.diagnosis.rays_in_words import ray_name, ray_subject
 from jaxbundle.numerics.host import on_device
 from jaxbundle.solve.adjustment import DOWN_WEIGHTED, Adjustment, Status
 from jaxbundle.solve.attempt import attempt
-from jaxbundle.solve.robust import Danish
+from jaxbundle.solve.weight_functions import Danish
 from jaxbundle.statistics.hypotheses import image_points
 
 CURED = 0.3  # of sigma0, left without what is named

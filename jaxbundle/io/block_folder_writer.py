@@ -65,12 +65,12 @@ def _require_writable(block: Block) -> None:
     }
     kinds = [group.structure.kind for group in block.groups]
     problems = [
-        Problem(f"observations of kind '{kind.name}' have no table in a block folder", "leave them out", kind.name)
+        Problem(f"observations of kind '{kind.name}' have no table in a block folder", "leave them out", kind.table)
         for kind in kinds
         if kind not in known
     ]
     problems += [
-        Problem(f"there are several groups of kind '{kind.name}'", "make one group of them", kind.name)
+        Problem(f"there are several groups of kind '{kind.name}'", "make one group of them", kind.table)
         for kind in dict.fromkeys(kinds)
         if kinds.count(kind) > 1 and kind in known
     ]

@@ -8,7 +8,7 @@ from dataclasses import dataclass, field
 
 import numpy as np
 
-from jaxbundle.block.block import Parameter
+from jaxbundle.block.block import Owner, Parameter
 from jaxbundle.block.geodetic import ANGLES, FRAME, LINES, PLANES, geodetic_kind
 from jaxbundle.block.navigation import ATTITUDES, GNSS
 from jaxbundle.block.observations import (
@@ -102,11 +102,13 @@ def _pairs(found: Found, kind: str, rows: PairRows, tables: FolderTables, settin
     for k in dict.fromkeys(sorted(rows.owner[used].tolist())) if kind in PREFIX else ():
         name = PREFIX[kind] + rows.owners[k]
         if kind == "directions":
-            owners[k] = found.add(Parameter(name, unit, angle=True), np.nan)
+            owners[k] = found.add(Parameter(name, unit, angle=True, owner=Owner("sets", rows.owners[k])), np.nan)
         else:
             assert tables.bars is not None
             length, sigma = float(tables.bars.lengths[k]), float(tables.bars.sigmas[k])
-            owners[k] = found.add(Parameter(name, settings.units.object, sigma != 0), length, sigma)
+            owners[k] = found.add(
+                Parameter(name, settings.units.object, sigma != 0, owner=Owner("bars", rows.owners[k])), length, sigma
+            )
     for ends in PAIR_TYPES:
         members = np.flatnonzero(used & (rows.is_image == ends).all(1))
         if len(members):
@@ -140,7 +142,12 @@ def _on_figures(found: Found, kind: str, rows: FigureRows, unit: str) -> None:
         return
     units = {"a": "", "b": "", "d": unit, "p": unit, "q": unit}
     numbers = {
-        k: [found.add(Parameter(f"{n} of {kind[:-1]} {rows.figures[k]}", units[n]), np.nan) for n in FRAME_NAMES[kind]]
+        k: [
+            found.add(
+                Parameter(f"{n} of {kind[:-1]} {rows.figures[k]}", units[n], owner=Owner(kind, rows.figures[k])), np.nan
+            )
+            for n in FRAME_NAMES[kind]
+        ]
         for k in dict.fromkeys(rows.figure[members].tolist())
     }
     observed = PLANES if kind == "planes" else LINES
@@ -175,6 +182,7 @@ def _navigation(found: Found, kind: str, tables: FolderTables, toml: BlockToml, 
 def _navigation_parameters(found: Found, kind: str, name: str, toml: BlockToml, settings: Settings) -> list[int]:
     """Numbers of the nine parameters of one group."""
     section, numbers = section_of(toml, name), []
+    owner = Owner("navigation", name) if name else None
     angles = kind == "attitudes"
     factor = RADIANS[settings.units.angle] if angles else 1.0
     for vector in KINDS[kind]:
@@ -182,7 +190,8 @@ def _navigation_parameters(found: Found, kind: str, name: str, toml: BlockToml, 
         sigma = factor * (section.priors or {}).get(vector, np.nan)
         values = getattr(section, vector) or [0.0] * 3
         for axis, value in zip(axes_of(vector, settings.rotation.system), values, strict=True):
-            parameter = Parameter(parameter_name(vector, axis, name), unit, vector in section.estimate, angles)
+            whole = parameter_name(vector, axis, name)
+            parameter = Parameter(whole, unit, vector in section.estimate, angles, owner)
             numbers.append(found.add(parameter, factor * value, sigma))
     return numbers
 

@@ -3,6 +3,7 @@
 JAX makes a program for every shape of its operations, even to take over an array: `on_device` does so without one.
 """
 
+import dataclasses
 from typing import Any
 
 import jax
@@ -45,3 +46,17 @@ def on_device(value: Any, dtype: Any = None) -> Array:
 def array_module(tree: Any) -> Any:
     """numpy where all leaves are numbers, jax.numpy where they are traced."""
     return np if is_concrete(tree) else jnp
+
+
+def freeze_arrays(holder: Any) -> None:
+    """Makes the numpy arrays among the fields of a dataclass read-only, for use at its construction.
+
+    What is compiled and what is planned for the holder is found again by its identity, so its arrays must not change.
+    An array that its caller could still write to is replaced by a copy.
+    """
+    for field in dataclasses.fields(holder):
+        value = getattr(holder, field.name)
+        if isinstance(value, np.ndarray) and value.flags.writeable:
+            value = value.copy()
+            value.setflags(write=False)
+            object.__setattr__(holder, field.name, value)

@@ -1,6 +1,7 @@
 """Derivatives along a direction, and linear functions whose transposed function is written by hand."""
 
 from collections.abc import Callable
+from functools import partial
 from typing import Any
 
 import equinox as eqx
@@ -18,14 +19,27 @@ def directional(function: Callable, at: tuple, direction: tuple) -> tuple[Any, A
     return value, jax.tree.map(lambda x, m: jnp.zeros_like(x) if m is None else m, value, moved)
 
 
+@partial(jax.custom_jvp, nondiff_argnums=(1,))
+def _without_derivative(x: Array, reason: str) -> Array:
+    return x
+
+
+@_without_derivative.defjvp
+def _without_derivative_jvp(reason: str, primals: tuple, tangents: tuple) -> tuple[Array, Array]:
+    raise ValueError(reason)
+
+
 def linear_map(
-    forward: LinearFunction, transposed: LinearFunction, x: Float[Array, " m"], size: int, given: Any
+    forward: LinearFunction, transposed: LinearFunction, x: Float[Array, " m"], size: int, given: Any, reason: str
 ) -> Float[Array, " size"]:
     """L x = forward(x), as a linear function that JAX transposes by `transposed`, L^T, and may also batch.
 
-    `given`: all numbers that L depends on; derivatives by them are not known, and NaN.
+    `given`: all numbers that L depends on. Derivatives with respect to them are not known.
+
+    Raises: ValueError with the `reason` where JAX asks for such a derivative.
     """
-    unknown = jnp.nan * sum((jnp.sum(leaf) for leaf in jax.tree.leaves(eqx.filter(given, eqx.is_inexact_array))), 0.0)
+    numbers = jax.tree.leaves(eqx.filter(given, eqx.is_inexact_array))
+    unknown = _without_derivative(sum((jnp.sum(leaf) for leaf in numbers), jnp.zeros(())), reason)
     split = len(x)
 
     # the equations [ I  0; -L  I ] [ u; v ] = [ x; 0 ], for which JAX asks both solutions of its user

@@ -6,7 +6,7 @@ from dataclasses import dataclass
 import numpy as np
 from jaxtyping import Float
 
-from jaxbundle.block.block import Block, Structure
+from jaxbundle.block.block import Block, Parameter, Structure
 from jaxbundle.block.geodetic import ANGLES
 from jaxbundle.block.navigation import ATTITUDES
 from jaxbundle.block.observations import PARAMETERS, ObservationGroup, ObservationKind
@@ -44,7 +44,7 @@ class GroupTable:
 
 def table_name(kind: ObservationKind) -> str:
     """The name of a kind's table in a report."""
-    name = OTHER_NAMES.get(kind.name, kind.name)
+    name = OTHER_NAMES.get(kind.table, kind.table)
     return f"{name}_observed" if name in TAKEN else name
 
 
@@ -149,14 +149,15 @@ def member_names(structure: Structure, group: ObservationGroup) -> dict[str, lis
             columns[f"{kind}_{touches[: k + 1].count(kind)}" if several else kind] = column
     owned = [k for k, kind in enumerate(touches) if kind == "parameter"]
     if owned:
-        rows = [[structure.parameters[p].name for p in row] for row in indices[:, owned].tolist()]
+        rows = [[structure.parameters[p] for p in row] for row in indices[:, owned].tolist()]
         columns["parameter" if len(owned) == 1 else "parameters"] = [_common(row) for row in rows]
     return columns
 
 
-def _common(names: list[str]) -> str:
-    """One parameter's name; of several what they are of, as "strip 1" of "shift X of strip 1" and its kin."""
-    if len(names) == 1:
-        return names[0]
-    of = {name.partition(" of ")[2] for name in names}
-    return of.pop() if len(of) == 1 else f"{names[0]} ..."
+def _common(parameters: list[Parameter]) -> str:
+    """One parameter's name; of several the owner they have in common, such as "strip 1"."""
+    first = parameters[0]
+    if len(parameters) == 1:
+        return first.name
+    owners = {parameter.owner for parameter in parameters}
+    return first.owner.words if first.owner and len(owners) == 1 else f"{first.name} ..."

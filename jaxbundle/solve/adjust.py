@@ -4,11 +4,12 @@ import dataclasses
 import importlib
 from collections.abc import Callable
 from pathlib import Path
-from typing import NamedTuple, get_args
+from typing import NamedTuple, Unpack
 
 import jax
 import jax.numpy as jnp
 import numpy as np
+import optimistix as optx
 from jax.custom_batching import sequential_vmap
 from jaxtyping import Array
 
@@ -21,37 +22,30 @@ from jaxbundle.block.residuals import observations_of
 from jaxbundle.block.unknowns import unknowns_of
 from jaxbundle.block.validate import require_valid
 from jaxbundle.normals.from_block import problem, to_block_order, to_elimination_order
-from jaxbundle.normals.plan.elimination_plan import EliminationPlan, plan_elimination
-from jaxbundle.normals.plan.reduced_plan import Method
+from jaxbundle.normals.plan.elimination_plan import EliminationPlan
+from jaxbundle.normals.plan.known_plans import planned
 from jaxbundle.normals.problem import OrderedUnknowns
 from jaxbundle.normals.step import placed
 from jaxbundle.numerics.compilation import RAYS_FOR_OPTIMISATION
 from jaxbundle.numerics.host import constant, on_device, on_host
-from jaxbundle.numerics.precision import require_float64
 from jaxbundle.solve import levenberg_marquardt as solver
 from jaxbundle.solve.adjustment import Adjustment, Iterations, Status
 from jaxbundle.solve.answer import Ended, adjustment
 from jaxbundle.solve.checkpoint import Keeper, fingerprint, require_same_block
+from jaxbundle.solve.damping import Marquardt, Undamped
 from jaxbundle.solve.free_network import constrained, freed
-from jaxbundle.solve.implicit import Derivatives, minimum
-from jaxbundle.solve.levenberg_marquardt import Arguments, BundleSolver, State
-from jaxbundle.solve.robust import AbstractWeightFunction, Solve, adjust_robustly
-from jaxbundle.solve.search import DampedSearch, FullStep
+from jaxbundle.solve.implicit import minimum
+from jaxbundle.solve.levenberg_marquardt import Arguments, BundleSolver, Solved, State
+from jaxbundle.solve.options import Choices, Options, chosen
+from jaxbundle.solve.robust import Solve, adjust_robustly
 from jaxbundle.solve.start import require_finite_start
-from jaxbundle.solve.stopping import AbstractStoppingRule, AngleRule
+from jaxbundle.solve.status import status_of
+from jaxbundle.solve.stopping import AbstractStoppingRule
 from jaxbundle.solve.verdict import with_verdict
 
-METHODS = {"levenberg-marquardt": DampedSearch, "gauss-newton": FullStep}
-ENGINES = ("block", "jaxopt")
+DAMPINGS = {"levenberg-marquardt": Marquardt, "gauss-newton": Undamped}
 RAYS_FOR_DEVICES = 10_000
 CREEPING_STEPS = 10  # Gauss-Newton and Levenberg-Marquardt end in fewer where the datum is determined
-_STATUS = {
-    solver.RUNNING: Status.MAXIMUM_ITERATIONS,
-    solver.CONVERGED: Status.CONVERGED,
-    solver.SINGULAR: Status.SINGULAR,
-    solver.DIVERGED: Status.DIVERGED,
-    solver.STALLED: Status.STALLED,
-}
 
 
 class Progress(NamedTuple):
@@ -67,86 +61,69 @@ class Progress(NamedTuple):
 
 def adjust(
     block: Block,
+    options: Options | None = None,
     *,
-    method: str = "levenberg-marquardt",
-    stop: AbstractStoppingRule | None = None,
-    max_iterations: int = 200,
-    precision: bool = True,
-    engine: str = "block",
-    reduced: Method = "auto",
-    devices: int | None = None,
     checkpoint: Path | None = None,
-    robust: AbstractWeightFunction | None = None,
-    derivatives: Derivatives = "exact",
     progress: Callable[[Progress], None] | None = None,
+    **choices: Unpack[Choices],
 ) -> Adjustment:
     """Adjusts a block by least squares; its values are the start.
 
-    `method`: "levenberg-marquardt" or "gauss-newton". `stop`: a stopping rule, AngleRule() if none is given.
-    `precision`: compute cofactors and standard deviations. `engine`: "block", or "jaxopt" as a second opinion on small
-    blocks. `reduced`: how the reduced equations are solved, "dense", "panels" or "pcg" (conjugate gradients, which give
-    no standard deviations), "auto" by their size. `devices`: JAX devices to deal the points to, those of all processes
-    counted; if None all of them, or one for a small block. `checkpoint`: a file that keeps the state after every
-    accepted iteration; where it exists the solve goes on from it. `robust`: a weight function for gross errors in the
-    rays, as Huber(); its weights are kept in `reweighting`. `derivatives` of the minimum, under grad, jacfwd or jacrev:
-    "exact", or by "gauss-newton" without the second derivatives of the observations. `progress` is called after every
-    iteration. Ctrl-C, or a KeyboardInterrupt of `progress`, ends the iterations and keeps the last accepted unknowns,
-    without standard deviations.
+    Args:
+        block: the block.
+        options: those of another adjustment, `result.options`; the defaults if None. The keywords change single ones.
+        method: "levenberg-marquardt" or "gauss-newton".
+        stop: a stopping rule, AngleRule() if None.
+        max_iterations: maximum number of iterations, 200.
+        precision: compute cofactors and standard deviations, True.
+        engine: "block", or "jaxopt" as a second opinion on small blocks.
+        reduced: how the reduced equations are solved, "dense", "panels" or "pcg" (conjugate gradients, which give no
+            standard deviations), "auto" by their size.
+        devices: JAX devices to deal the points to, those of all processes counted; if None all of them, or one for a
+            small block.
+        robust: a weight function for gross errors in the rays, such as Huber(); its weights are kept in `reweighting`.
+        derivatives: of the minimum, under grad, jacfwd or jacrev: "exact", or by "gauss-newton" without the second
+            derivatives of the observations.
+        checkpoint: a file that keeps the state after every accepted iteration; where it exists the solve goes on from
+            it.
+        progress: called after every iteration.
 
-    Raises: TypeError for what is not a Block; BlockError with all problems of the block; CheckpointError for a
-    checkpoint of another block; ValueError for an unknown name or without float64; KeyboardInterrupt where that came
-    before the first accepted step.
+    Returns: the adjustment, which keeps the options. Ctrl-C, or a KeyboardInterrupt of `progress`, ends the iterations
+    and keeps the last accepted unknowns, without standard deviations.
+
+    Raises: TypeError for what is not a Block, or an unknown option; BlockError with all problems of the block;
+    CheckpointError for a checkpoint of another block; ValueError for an unknown name or without float64;
+    KeyboardInterrupt where that came before the first accepted step.
     """
     require_a(Block, block, "adjust")
-    require_options(method, engine, precision, reduced, derivatives)
+    wanted = chosen(options, choices, "adjust")
     values = constant(block)
     if values.concrete:
         require_valid(values)
-        require_same_block(values, method)
+        require_same_block(values, wanted.method)
     else:
         require_consistent(values)
-    wanted = _Wanted(method, stop or AngleRule(), max_iterations, engine, reduced, devices, derivatives, progress)
-    if robust is None:
-        found = _least_squares(block, wanted, precision, checkpoint)
+    if wanted.robust is None:
+        found = _least_squares(block, wanted, _Watch(checkpoint, progress))
         return with_verdict(found) if block.concrete else found
     if checkpoint is not None:
         raise ValueError("a robust adjustment solves many times and keeps no checkpoint")
+    watch, fully = _Watch(None, progress), dataclasses.replace(wanted, robust=None)
+    quickly = dataclasses.replace(fully, precision=False)
     solve = Solve(
-        lambda b: _least_squares(b, wanted, False, None, inspected=False),
-        lambda b: _least_squares(b, wanted, precision, None),
+        lambda b: _least_squares(b, quickly, watch, inspected=False), lambda b: _least_squares(b, fully, watch)
     )
-    return with_verdict(adjust_robustly(block, robust, solve))
+    return with_verdict(dataclasses.replace(adjust_robustly(block, wanted.robust, solve), options=wanted))
 
 
-def require_options(
-    method: str, engine: str, precision: bool, reduced: Method, derivatives: Derivatives = "exact"
-) -> None:
-    """Raises ValueError for options that no block can be adjusted with."""
-    require_float64()
-    if method not in METHODS or engine not in ENGINES:
-        raise ValueError(f"no method {method!r} with engine {engine!r}; there are {list(METHODS)} and {list(ENGINES)}")
-    if precision and reduced == "pcg":
-        raise ValueError("conjugate gradients give no standard deviations: call adjust(..., precision=False)")
-    if derivatives not in get_args(Derivatives):
-        raise ValueError(f"no derivatives {derivatives!r}; there are {list(get_args(Derivatives))}")
+class _Watch(NamedTuple):
+    """What follows one solve."""
 
-
-class _Wanted(NamedTuple):
-    """How to solve."""
-
-    method: str
-    rule: AbstractStoppingRule
-    max_iterations: int
-    engine: str
-    reduced: Method
-    devices: int | None
-    derivatives: Derivatives
+    checkpoint: Path | None
     progress: Callable[[Progress], None] | None
 
 
-def _least_squares(
-    block: Block, wanted: _Wanted, precision: bool, checkpoint: Path | None, inspected: bool = True
-) -> Adjustment:
+def _least_squares(block: Block, options: Options, watch: _Watch, inspected: bool = True) -> Adjustment:
     """One adjustment; without `inspected` one whose answer is not checked, for a result that nobody sees."""
     if block.structure.datum.kind == "inner" and not block.concrete:
         raise ValueError("a free network is adjusted outside of jit, grad and vmap; there take a minimal datum")
@@ -156,10 +133,11 @@ def _least_squares(
     centred = values.moved(-origin)
     optimised = len(block.structure.ray_image) >= RAYS_FOR_OPTIMISATION
     centres = np.asarray(values.exterior.projection_centre) if values.concrete else None
-    devices = _devices(values, wanted.devices)
-    plan = plan_elimination(block.structure, block.groups, centres, devices, wanted.reduced, direct=precision)
-    run = _Run(centred, plan, Arguments(problem(plan, centred), wanted.rule.arranged(plan.order)), optimised, wanted)
-    arranged, iterations = _solved(run, checkpoint)
+    devices, precision = _devices(values, options.devices), options.precision
+    plan = planned(block.structure, block.groups, centres, devices, options.reduced, direct=precision)
+    rule = options.stop.of(centred)
+    run = _Run(centred, plan, Arguments(problem(plan, centred), rule.arranged(plan.order)), optimised, options, watch)
+    arranged, iterations = _solved(run, rule)
     given = run.args.problem
     if block.concrete:  # an interruption is answered at once
         precision = precision and int(iterations.status) != Status.INTERRUPTED
@@ -167,31 +145,29 @@ def _least_squares(
         centred = block.moved(-origin)
         given, start = problem(plan, centred), to_elimination_order(plan, unknowns_of(centred))
         converged = iterations.status == Status.CONVERGED
-        arranged = minimum(arranged, start, given, converged, wanted.derivatives, optimised)
+        arranged = minimum(arranged, start, given, converged, options.derivatives, optimised)
     if block.structure.datum.kind == "inner":
         arranged = to_elimination_order(plan, constrained(centred, to_block_order(plan, arranged)))
         block = dataclasses.replace(block, structure=freed(block.structure))
-    ended = Ended(
-        iterations, origin, wanted.rule.name, wanted.method, precision, inspected and block.concrete, optimised
-    )
+    ended = Ended(iterations, origin, options, precision, inspected and block.concrete, optimised)
     return adjustment(block, plan, given, arranged, ended)
 
 
-def _solved(run: "_Run", checkpoint: Path | None) -> tuple[OrderedUnknowns, Iterations]:
-    """The minimum."""
-    block, wanted = run.block, run.wanted
-    if wanted.engine == "jaxopt":
+def _solved(run: "_Run", rule: AbstractStoppingRule) -> tuple[OrderedUnknowns, Iterations]:
+    """The minimum. `rule`: in the order of the block."""
+    block, options, checkpoint = run.block, run.options, run.watch.checkpoint
+    if options.engine == "jaxopt":
         # jaxopt warns at import that it is no longer developed: only who asks for it shall load it
         second_opinion = importlib.import_module("jaxbundle.solve.second_opinion")
-        args = second_opinion.Arguments(observations_of(block), wanted.rule)
-        unknowns, iterations = second_opinion.solve(unknowns_of(block), args, wanted.method, wanted.max_iterations)
+        args = second_opinion.Arguments(observations_of(block), rule)
+        unknowns, iterations = second_opinion.solve(unknowns_of(block), args, options.method, options.max_iterations)
         if not np.isfinite(float(iterations.initial_cost)):
             start = to_elimination_order(run.plan, unknowns_of(block))
             require_finite_start(block, run.plan, start, run.args.problem)
         return to_elimination_order(run.plan, unknowns), iterations
     if not block.concrete:
         return _in_one(run)
-    return _step_by_step(run, None if checkpoint is None else Keeper(checkpoint, fingerprint(block, wanted.method)))
+    return _step_by_step(run, None if checkpoint is None else Keeper(checkpoint, fingerprint(block, options.method)))
 
 
 def _devices(block: Block, wanted: int | None) -> int:
@@ -219,7 +195,8 @@ class _Run(NamedTuple):
     plan: EliminationPlan
     args: Arguments
     optimised: bool
-    wanted: _Wanted
+    options: Options
+    watch: _Watch
 
 
 def _in_one(run: _Run) -> tuple[OrderedUnknowns, Iterations]:
@@ -227,50 +204,56 @@ def _in_one(run: _Run) -> tuple[OrderedUnknowns, Iterations]:
 
     Measured: a block's arrays are long enough by themselves, those of many blocks together leave the processor's cache.
     """
-    bundle, most = BundleSolver(METHODS[run.wanted.method]()), run.wanted.max_iterations
+    bundle, most = BundleSolver(DAMPINGS[run.options.method]()), run.options.max_iterations
 
     @sequential_vmap
-    def solved(unknowns: OrderedUnknowns, args: Arguments) -> tuple[OrderedUnknowns, State]:
+    def solved(unknowns: OrderedUnknowns, args: Arguments) -> Solved:
         return solver.run(bundle, unknowns, args, bundle.first(), most, optimised=run.optimised)
 
-    unknowns, state = solved(to_elimination_order(run.plan, unknowns_of(run.block)), run.args)
-    codes = jnp.array([_STATUS[k] for k in range(len(_STATUS))])
-    return unknowns, _iterations(state, codes[state.status])
+    found = solved(to_elimination_order(run.plan, unknowns_of(run.block)), run.args)
+    return found.unknowns, _iterations(found.state, status_of(found.result))
 
 
 def _step_by_step(run: _Run, keeper: Keeper | None) -> tuple[OrderedUnknowns, Iterations]:
     """One step a call, so that a user can look on, stop it, and go on from a checkpoint."""
-    bundle = BundleSolver(METHODS[run.wanted.method]())
+    bundle, most, progress = (
+        BundleSolver(DAMPINGS[run.options.method]()),
+        run.options.max_iterations,
+        run.watch.progress,
+    )
     start, state = unknowns_of(run.block), bundle.first()
     if keeper is not None:
         start, state = keeper.resumed(start, state)
-        state = state._replace(status=on_device(solver.RUNNING, state.status.dtype))  # a file's verdict is not believed
+        new = bundle.first()
+        state = state._replace(ended=new.ended, result=new.result)  # a file's verdict is not believed
     unknowns, problem, state = placed(to_elimination_order(run.plan, start), run.args.problem, state)
+    found = Solved(unknowns, state, optx.RESULTS.nonlinear_max_steps_reached)
     args, interrupted, costs, creeping = run.args._replace(problem=problem), False, [], False
     try:
-        while int(state.trials) < run.wanted.max_iterations and int(state.status) == solver.RUNNING and not creeping:
-            before = int(state.accepted)
-            unknowns, state = solver.run(bundle, unknowns, args, state, 1, optimised=run.optimised)
+        while int(found.state.trials) < most and not bool(found.state.ended) and not creeping:
+            before = int(found.state.accepted)
+            found = solver.run(bundle, found.unknowns, args, found.state, 1, optimised=run.optimised)
+            state = found.state
             if int(state.trials) == 1 and not np.isfinite(float(state.initial_cost)):
-                require_finite_start(run.block, run.plan, unknowns, args.problem)
+                require_finite_start(run.block, run.plan, found.unknowns, args.problem)
             accepted = int(state.accepted) > before
-            if keeper is not None and accepted and int(state.status) == solver.RUNNING:
+            if keeper is not None and accepted and not bool(state.ended):
                 # the last step is not kept: who goes on from here does it again and comes to the same end
-                keeper.keep(to_block_order(run.plan, unknowns), state)
-            if run.wanted.progress is not None:
-                run.wanted.progress(_progress(run.block, state, accepted))
+                keeper.keep(to_block_order(run.plan, found.unknowns), state)
+            if progress is not None:
+                progress(_progress(run.block, state, accepted))
             if accepted:
                 costs.append(float(state.cost))
                 creeping = is_creeping(run.block, costs)
     except KeyboardInterrupt:
-        if jax.process_count() > 1 or not int(state.accepted):
+        if jax.process_count() > 1 or not int(found.state.accepted):
             raise  # the others would wait for this one for ever; or there is nothing to keep
-        interrupted = int(state.status) == solver.RUNNING
-    state = jax.tree.map(lambda x: on_device(on_host(x)), state)
-    status = Status.INTERRUPTED if interrupted else _STATUS[int(state.status)]
+        interrupted = not bool(found.state.ended)
+    state, result = jax.tree.map(lambda x: on_device(on_host(x)), (found.state, found.result))
+    status = Status.INTERRUPTED if interrupted else Status(int(status_of(result)))
     if creeping and status is Status.MAXIMUM_ITERATIONS:
         status = Status.CREEPING
-    return unknowns, _iterations(state, on_device(int(status)))
+    return found.unknowns, _iterations(state, on_device(int(status)))
 
 
 def is_creeping(block: Block, costs: list[float]) -> bool:

@@ -1,6 +1,5 @@
 """The answer of an adjustment: adjusted block, residuals, sigma0, cofactors and what follows from them."""
 
-from enum import IntEnum
 from typing import Any, NamedTuple
 
 import equinox as eqx
@@ -12,6 +11,9 @@ from jaxbundle.block.findings import Finding, Kind, Severity, of_kind
 from jaxbundle.block.wording import counted
 from jaxbundle.normals.pcg import TOLERANCE
 from jaxbundle.numerics.host import array_module, is_concrete, on_device, on_host
+from jaxbundle.solve.options import Options
+from jaxbundle.solve.status import Status
+from jaxbundle.solve.weight_functions import with_weights
 
 REDUCED = {
     "dense": "dense Cholesky factorisation",
@@ -19,34 +21,6 @@ REDUCED = {
     "pcg": f"preconditioned conjugate gradients to {TOLERANCE:.0e} of the right-hand side",
 }
 DOWN_WEIGHTED = 0.5  # a robust weight below which a ray is listed
-
-
-class Status(IntEnum):
-    """How the iterations ended."""
-
-    MAXIMUM_ITERATIONS = 0
-    CONVERGED = 1
-    SINGULAR = 2
-    DIVERGED = 3
-    STALLED = 4
-    INTERRUPTED = 5
-    CREEPING = 6
-
-    @property
-    def words(self) -> str:
-        """The status as a sentence's end."""
-        return {
-            Status.CONVERGED: "converged",
-            Status.MAXIMUM_ITERATIONS: "ended at the maximum number of iterations, not converged",
-            Status.SINGULAR: "ended at a singular normal matrix, not converged",
-            Status.DIVERGED: "diverged",
-            Status.STALLED: "ended where no step reduces the residuals any more, not converged",
-            Status.CREEPING: (
-                "ended where unknowns that are hardly determined still move and the residuals no longer change,"
-                " not converged"
-            ),
-            Status.INTERRUPTED: "was interrupted, not converged: the last accepted unknowns are kept",
-        }[self]
 
 
 class Iterations(NamedTuple):
@@ -98,6 +72,8 @@ class Adjustment(eqx.Module):
     """An adjusted block. `residuals`: rays first (unit of the rays, y up), then every group of `block.groups`.
 
     `redundancy_numbers` are laid out alike. They and `cofactors` are None where no standard deviations were asked for.
+    `options` are those it was made with: `adjust(block, result.options)` adjusts another block alike.
+
     A pytree: jit, grad and vmap go through it.
     """
 
@@ -107,8 +83,7 @@ class Adjustment(eqx.Module):
     cofactors: BlockCofactors | None
     redundancy_numbers: tuple[Float[Array, "_member _component"], ...] | None
     iterations: Iterations
-    stopping_rule: str = eqx.field(static=True)
-    method: str = eqx.field(static=True)
+    options: Options
     reduced: str = eqx.field(static=True)  # how the reduced equations were solved
     findings: tuple[Finding, ...] = eqx.field(static=True, default=())  # of the block and of its adjustment
     reweighting: Reweighting | None = None  # None: not robust
@@ -119,6 +94,26 @@ class Adjustment(eqx.Module):
         counts = f"{counted(len(structure.image_names), 'image')}, {counted(len(structure.point_names), 'point')}"
         how = f"{self.status.words}, sigma0 {float(self.sigma0):.4g}" if is_concrete(self) else "traced"
         return f"<Adjustment {structure.name or '(unnamed)'}: {how}, {counts}>"
+
+    @property
+    def method(self) -> str:
+        """The method it was made by."""
+        return self.options.method
+
+    @property
+    def stopping_rule(self) -> str:
+        """Name of the rule that ended the iterations."""
+        return self.options.stop.name
+
+    @property
+    def weighted_block(self) -> Block:
+        """The adjusted block with the weights that the adjustment had at last: those of the last robust round.
+
+        `block` has the sigmas as they were given. Whatever computes with weights after an adjustment takes this one.
+        """
+        if self.reweighting is None:
+            return self.block
+        return with_weights(self.block, np.asarray(self.block.rays.sigmas), np.asarray(self.reweighting.weights))
 
     @property
     def observations(self) -> int:
@@ -148,12 +143,25 @@ class Adjustment(eqx.Module):
 
     @property
     def status(self) -> Status:
-        """How the iterations ended (concrete results only)."""
-        return Status(int(self.iterations.status))
+        """How the iterations ended.
+
+        Raises: ValueError under tracing, where no number is known yet, and for many adjustments in one.
+        """
+        status = self.iterations.status
+        if not is_concrete(status):
+            raise ValueError(
+                "how an adjustment ended is not known inside of jit, grad and vmap: look at its status outside of them,"
+                " or compare adjustment.iterations.status with jb.Status.CONVERGED by jnp.where"
+            )
+        if np.ndim(status):
+            raise ValueError(
+                f"these are {np.size(status)} adjustments in one, made by vmap: look at adjustment.iterations.status"
+            )
+        return Status(int(status))
 
     @property
     def trustworthy(self) -> bool:
-        """Converged, and nothing found that forbids trust."""
+        """Converged, and nothing found that forbids trust; raises as `status`."""
         return self.status is Status.CONVERGED and not self.failures
 
     @property

@@ -27,6 +27,7 @@ from jaxbundle.solve.adjustment import Adjustment, BlockCofactors, Iterations, S
 from jaxbundle.solve.free_network import InnerCofactors, inner_cofactors_of
 from jaxbundle.solve.implicit_precision import with_derivatives
 from jaxbundle.solve.levenberg_marquardt import FLAT, is_flat
+from jaxbundle.solve.options import Options
 from jaxbundle.solve.undetermined import End, Undetermined, undetermined
 
 
@@ -47,8 +48,7 @@ class Ended(NamedTuple):
 
     iterations: Iterations
     origin: Float[Array, "3"]
-    rule: str
-    method: str
+    options: Options
     precision: bool
     inspected: bool
     optimised: bool
@@ -114,8 +114,7 @@ def adjustment(
         blocks,
         redundancy_numbers,
         iterations,
-        ended.rule,
-        ended.method,
+        ended.options,
         plan.method,
         (*block.structure.findings, *loose.findings, *weak),
         undetermined_directions=loose.directions,

@@ -1,17 +1,19 @@
 """An adjustment that is tried, as a question to a block: it may fail without being an error of the user."""
 
-from typing import Any
+from typing import Unpack
 
 from jaxbundle.block.block import Block
 from jaxbundle.block.problems import BlockError
 from jaxbundle.solve.adjust import adjust
 from jaxbundle.solve.adjustment import Adjustment, Status
+from jaxbundle.solve.options import Choices
 
 
-def attempt(block: Block, **options: Any) -> Adjustment | None:
+def attempt(block: Block, **choices: Unpack[Choices]) -> Adjustment | None:
     """The adjustment without standard deviations; None where the block cannot be adjusted or does not converge."""
+    wanted: Choices = {**choices, "precision": False}
     try:
-        found = adjust(block, precision=False, **options)
+        found = adjust(block, **wanted)
     except BlockError:
         return None
     return found if found.status is Status.CONVERGED else None

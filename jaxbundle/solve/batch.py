@@ -3,15 +3,13 @@
 import time
 from collections.abc import Callable, Iterable, Iterator, Mapping, Sequence
 from dataclasses import dataclass
-from typing import Any, NamedTuple
+from typing import Any, NamedTuple, Unpack
 
 from jaxbundle.block.block import Block
 from jaxbundle.block.given import require_a
-from jaxbundle.normals.plan.reduced_plan import Method
-from jaxbundle.solve.adjust import adjust, require_options
+from jaxbundle.solve.adjust import adjust
 from jaxbundle.solve.adjustment import Adjustment, Status
-from jaxbundle.solve.robust import AbstractWeightFunction
-from jaxbundle.solve.stopping import AbstractStoppingRule
+from jaxbundle.solve.options import Choices, Options, chosen
 
 FAILED = "bad input"
 SHOWN = 100  # characters of a problem in a line of the table
@@ -109,42 +107,27 @@ def _cells(row: Row) -> tuple[str, ...]:
 
 def adjust_many(
     blocks: Mapping[str, Block] | Iterable[Block],
+    options: Options | None = None,
     *,
-    method: str = "levenberg-marquardt",
-    stop: AbstractStoppingRule | None = None,
-    max_iterations: int = 200,
-    precision: bool = True,
-    engine: str = "block",
-    reduced: Method = "auto",
-    devices: int | None = None,
-    robust: AbstractWeightFunction | None = None,
     progress: Callable[[Outcome], None] | None = None,
+    **choices: Unpack[Choices],
 ) -> Batch:
-    """Adjusts blocks of any shapes one after the other; options as those of `adjust`.
+    """Adjusts blocks of any shapes one after the other; options and keywords as those of `adjust`.
 
     Blocks of similar size share their compiled programs. A block that cannot be adjusted has its error in the result
     and stops no other. `blocks`: by name, or in a row, each then called by its own name; equal ones are numbered.
     `progress` is called with every finished block. Ctrl-C ends the batch after the block that is being adjusted, of
     which the last accepted unknowns are kept; a block without an accepted step is left out.
 
-    Raises: ValueError for options that no block can be adjusted with, or without float64.
+    Raises: TypeError for an unknown option; ValueError for options that no block can be adjusted with, or without
+    float64.
     """
-    require_options(method, engine, precision, reduced)
+    wanted = chosen(options, choices, "adjust_many")
     outcomes: list[Outcome] = []
     for name, block in _named(blocks):
         start = time.perf_counter()
         try:
-            result = adjust(
-                block,
-                method=method,
-                stop=stop,
-                max_iterations=max_iterations,
-                precision=precision,
-                engine=engine,
-                reduced=reduced,
-                devices=devices,
-                robust=robust,
-            )
+            result = adjust(block, options=wanted)
         except ValueError as error:
             result = error
         except KeyboardInterrupt:  # before the first accepted step

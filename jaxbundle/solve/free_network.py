@@ -23,6 +23,7 @@ from jaxtyping import Array, Bool, Float
 
 from jaxbundle.block.block import Block, Structure
 from jaxbundle.block.datum_defect import transformed
+from jaxbundle.block.derived import derived
 from jaxbundle.block.unknowns import Unknowns, attitude_derivatives
 from jaxbundle.geometry import rotation
 from jaxbundle.normals.cholesky import inverse_factor
@@ -42,7 +43,7 @@ def freed(structure: Structure) -> Structure:
     free = structure.exterior_free.copy()
     for image, element in structure.datum.held:
         free[structure.image_names.index(image), structure.exterior_elements.index(element)] = True
-    return dataclasses.replace(structure, exterior_free=free, datum=dataclasses.replace(structure.datum, held=()))
+    return derived(structure, exterior_free=free, datum=dataclasses.replace(structure.datum, held=()))
 
 
 def carrying(structure: Structure) -> Bool[np.ndarray, " point"]:

@@ -31,6 +31,11 @@ from jaxbundle.numerics.linear_map import linear_map
 from jaxbundle.solve.implicit import moved, zero_vector
 
 MOST_UNKNOWNS = 3000  # N of so many takes 72 MB
+SECOND = (
+    f"standard deviations and redundancy numbers of more than {MOST_UNKNOWNS} unknowns have no second derivatives: call"
+    " adjust(..., precision=False) for those of coordinates, orientations and sigma0, or adjust a smaller part of the"
+    " block"
+)
 
 
 class Precision(NamedTuple):
@@ -95,7 +100,7 @@ def _by_engine(found: Precision, x: OrderedUnknowns, p: Problem, moved: tuple) -
         wanted = jax.tree.map(lambda m, g: None if m is None else g, moved, gradient, is_leaf=lambda m: m is None)
         return ravel_pytree(wanted)[0]
 
-    return precision(linear_map(forward, transposed, vector, len(flat), (x, p)))
+    return precision(linear_map(forward, transposed, vector, len(flat), (x, p), SECOND))
 
 
 @Compiled

@@ -2,6 +2,17 @@
 
 One step:  rows and elimination at the accepted unknowns -> reduced solution -> back-substitution -> trial -> verdict.
 
+Of optimistix it takes the driver (`optx.least_squares`: the loop, the maximum number of steps, the check for numbers
+that are not finite), the protocol of a solver, RESULTS and the Solution with its statistics. It does not use `fn`: the
+residuals are evaluated inside the elimination, from the problem that travels in `args`. Derivatives of the minimum are
+those of `solve/implicit.py`, not of an adjoint of optimistix.
+
+    RESULTS.successful                      converged
+    RESULTS.singular                        an undamped step of Gauss-Newton had no finite solution
+    RESULTS.nonlinear_divergence            an undamped step of Gauss-Newton made the residuals larger
+    RESULTS.stagnation                      no damped step reduces the residuals any more
+    RESULTS.nonlinear_max_steps_reached     none of these after `max_steps` steps
+
 Only accepted unknowns are linearised and the Jacobian is not kept, so the state is free of it. Convergence is
 certified by an undamped step: where a damped step meets the stopping rule the next one is tried with lambda = 0, and
 the solve ends when that one meets the rule too. Where the undamped equations are singular a damped step is no
@@ -15,6 +26,7 @@ from typing import Any, NamedTuple
 import equinox as eqx
 import jax
 import jax.numpy as jnp
+import lineax as lx
 import optimistix as optx
 from jaxtyping import Array, Bool, Float, Int
 
@@ -23,10 +35,11 @@ from jaxbundle.normals.problem import OrderedUnknowns, Problem
 from jaxbundle.normals.step import trial_step
 from jaxbundle.numerics.compilation import Compiled
 from jaxbundle.numerics.host import on_device
-from jaxbundle.solve.search import AbstractSearch, SearchState
+from jaxbundle.solve.damping import AbstractDamping, DampingState
 from jaxbundle.solve.stopping import AbstractStoppingRule, StepTaken
 
-RUNNING, CONVERGED, SINGULAR, DIVERGED, STALLED = range(5)
+RESULTS = optx.RESULTS
+_SINGULAR, _STAGNATION = RESULTS.promote(lx.RESULTS.singular), RESULTS.promote(lx.RESULTS.stagnation)
 FLAT = 1e-8  # cosine of the angle between v and the column of an unknown: the limit of the angle rule
 LARGEST_DAMPING = 1e16  # beyond, a step no longer changes the unknowns in double precision
 
@@ -39,12 +52,13 @@ class Arguments(NamedTuple):
 
 
 class State(NamedTuple):
-    """Search and certificate change with every trial; cost (v^T P v / 2) and measure with accepted ones."""
+    """Damping and certificate change with every trial; cost (v^T P v / 2) and measure with accepted ones."""
 
-    search: SearchState
+    damping: DampingState
     certifying: Bool[Array, ""]  # the next step is undamped
     uncertified: Bool[Array, ""]  # the undamped step was singular: the gradient must do in place of one
-    status: Int[Array, ""]
+    ended: Bool[Array, ""]
+    result: optx.RESULTS  # of the solve where it has ended, else successful
     trials: Int[Array, ""]
     accepted: Int[Array, ""]
     used_damping: Float[Array, ""]
@@ -54,23 +68,32 @@ class State(NamedTuple):
     step: Float[Array, ""]  # |J d| / |v| of the last trial
 
 
+class Solved(NamedTuple):
+    """The unknowns after some steps, the state to go on from, and the result up to here."""
+
+    unknowns: OrderedUnknowns
+    state: State
+    result: optx.RESULTS
+
+
 class BundleSolver(optx.AbstractLeastSquaresSolver[OrderedUnknowns, Any, Any, State]):
     """Block-sparse least squares for `optx.least_squares`; `options["state"]` continues an interrupted solve."""
 
     rtol: float
     atol: float
     norm: Any = eqx.field(static=True)
-    search: AbstractSearch
+    damping: AbstractDamping
 
-    def __init__(self, search: AbstractSearch):
+    def __init__(self, damping: AbstractDamping):
         # optimistix asks for these; the stopping rule travels in `args`
         self.rtol, self.atol, self.norm = 0.0, 0.0, optx.max_norm
-        self.search = search
+        self.damping = damping
 
     def first(self) -> State:
         """The state before the first step."""
         false, zero, nan = on_device(False), on_device(0), on_device(jnp.nan)
-        return State(self.search.first(), false, false, zero, zero, zero, nan, nan, nan, nan, nan)
+        start, running = self.damping.initial_state(), jax.tree.map(on_device, RESULTS.successful)
+        return State(start, false, false, false, running, zero, zero, nan, nan, nan, nan, nan)
 
     def init(self, fn, y, args, options, f_struct, aux_struct, tags) -> State:
         return options["state"] if "state" in options else self.first()
@@ -79,35 +102,39 @@ class BundleSolver(optx.AbstractLeastSquaresSolver[OrderedUnknowns, Any, Any, St
         self, fn, y: OrderedUnknowns, args: Arguments, options, state: State, tags
     ) -> tuple[OrderedUnknowns, State, Any]:
         problem, rule = args
-        damping = jnp.where(state.certifying, 0.0, state.search.damping)
-        trial = trial_step(y, problem, damping)
+        factor = jnp.where(state.certifying, 0.0, state.damping.factor)
+        trial = trial_step(y, problem, factor)
         angle_squared = jnp.maximum(trial.residual_change - 2 * trial.noise, 0.0) / (2 * trial.cost)
-        accepted, search = self.search.judge(state.search, trial.reduction, trial.predicted, trial.cost, trial.noise)
+        accepted, damping = self.damping.judge_step(
+            state.damping, trial.reduction, trial.predicted, trial.cost, trial.noise
+        )
         accepted = accepted & trial.finite
         # a certifying step is no information about the damping
-        search = jax.tree.map(lambda old, new: jnp.where(state.certifying, old, new), state.search, search)
+        damping = jax.tree.map(lambda old, new: jnp.where(state.certifying, old, new), state.damping, damping)
         unknowns = jax.tree.map(lambda old, new: jnp.where(accepted, new, old), y, trial.unknowns)
         measure = rule.measure(StepTaken(y.flat(), trial.unknowns.flat(), angle_squared, problem.observations))
         met = accepted & (measure <= rule.limit)
         # away from where an undamped step was singular the next one may be regular
         left = accepted & ~met
         uncertified = jnp.where(state.certifying, ~trial.finite, state.uncertified & ~left)
-        undamped = damping == 0
+        undamped = factor == 0
         flat = is_flat(trial.steepness, trial.cost, trial.noise, FLAT)
-        status = jnp.where(met & (undamped | (uncertified & flat)), CONVERGED, RUNNING).astype(state.status.dtype)
-        status = jnp.where((status == RUNNING) & (search.damping > LARGEST_DAMPING), STALLED, status)
+        converged = met & (undamped | (uncertified & flat))
+        stalled = ~converged & (damping.factor > LARGEST_DAMPING)
         hopeless = undamped & ~state.certifying & ~accepted  # Gauss-Newton has no shorter step
-        status = jnp.where(hopeless, jnp.where(trial.finite, DIVERGED, SINGULAR), status)
+        diverged = RESULTS.where(trial.finite, RESULTS.nonlinear_divergence, _SINGULAR)
+        result = RESULTS.where(stalled, _STAGNATION, RESULTS.successful)
         return (
             unknowns,
             State(
-                search,
+                damping,
                 met & ~undamped & ~uncertified,
                 uncertified,
-                status,
+                converged | stalled | hopeless,
+                RESULTS.where(hopeless, diverged, result),
                 state.trials + 1,
                 state.accepted + accepted,
-                damping,
+                factor,
                 jnp.where(state.trials == 0, trial.cost, state.initial_cost),
                 jnp.where(accepted, trial.cost - trial.reduction, trial.cost),
                 jnp.where(accepted, measure, state.measure),
@@ -117,10 +144,11 @@ class BundleSolver(optx.AbstractLeastSquaresSolver[OrderedUnknowns, Any, Any, St
         )
 
     def terminate(self, fn, y, args, options, state: State, tags) -> tuple[Bool[Array, ""], optx.RESULTS]:
-        return state.status != RUNNING, optx.RESULTS.successful
+        return state.ended, state.result
 
     def postprocess(self, fn, y, aux, args, options, state: State, tags, result) -> tuple[OrderedUnknowns, Any, dict]:
-        return y, aux, {"state": state}
+        numbers = ("trials", "accepted", "initial_cost", "cost", "measure", "step")
+        return y, aux, {name: getattr(state, name) for name in numbers}
 
 
 def is_flat(steepness: Array, cost: Array, noise: Array, tolerance: Array | float) -> Bool[Array, ""]:
@@ -129,13 +157,11 @@ def is_flat(steepness: Array, cost: Array, noise: Array, tolerance: Array | floa
 
 
 @Compiled
-def run(
-    solver: BundleSolver, unknowns: OrderedUnknowns, args: Arguments, state: State, max_steps: int
-) -> tuple[OrderedUnknowns, State]:
+def run(solver: BundleSolver, unknowns: OrderedUnknowns, args: Arguments, state: State, max_steps: int) -> Solved:
     """At most `max_steps` steps from a state; `max_steps` is static."""
 
     def residuals(unknowns: OrderedUnknowns, args: Arguments) -> list[Array]:
         return weighted_residuals(unknowns, args.problem)
 
     solution = optx.least_squares(residuals, solver, unknowns, args, {"state": state}, max_steps=max_steps, throw=False)
-    return solution.value, solution.stats["state"]
+    return Solved(solution.value, solution.state, solution.result)

@@ -3,92 +3,29 @@
     minimise  sum rho(t),    t = sqrt(v_x^2 / s_x^2 + v_y^2 / s_y^2) / s      of every ray
     weight    w(t) = rho'(t) / t                                              of the next least-squares adjustment
 
-    Huber (1964)                w = 1 for t <= k, k / t beyond
-    Cauchy                      w = 1 / (1 + (t / k)^2)
-    Tukey's biweight (1974)     w = (1 - (t / k)^2)^2 for t <= k, 0 beyond
-    Danish method               w = 1 for t <= k, exp(1 - (t / k)^2) beyond       after Krarup, Juhl & Kubik (1980)
-
 s is the rays' own standard deviation of unit weight, free of gross errors: the median of t over that of the length of
 a normal vector in the plane, sqrt(2 ln 2), and over the square root of the mean redundancy number, since residuals are
-smaller than errors. The last three forget large residuals altogether and have many minima: they start from Huber's.
+smaller than errors. Weight functions that forget large residuals altogether have many minima: they start from Huber's.
 """
 
-import abc
 import dataclasses
 from collections.abc import Callable
-from typing import ClassVar, NamedTuple
+from typing import NamedTuple
 
 import equinox as eqx
-import jax.numpy as jnp
 import numpy as np
-from jaxtyping import Array, Float
+from jaxtyping import Float
 
 from jaxbundle.block.block import Block
 from jaxbundle.block.findings import Finding, Kind, Subject
 from jaxbundle.numerics.host import on_device
 from jaxbundle.solve.adjustment import Adjustment, Reweighting, Status
+from jaxbundle.solve.weight_functions import AbstractWeightFunction, Huber, with_weights
 
 MEDIAN_LENGTH = float(np.sqrt(2 * np.log(2)))  # of a vector of two standard normal numbers
 SETTLED = 1e-4  # change of a weight below which the weights are at rest
 MOST_ROUNDS = 50
 FAILED_ROUNDS = 2  # in a row whose adjustment does not converge: one may start far off, of two the next is no better
-LEAST_WEIGHT = 1e-12  # of a ray without weight, in place of 0: its sigma stays a number
-
-
-class AbstractWeightFunction(eqx.Module):
-    """A weight by the normed length of a ray's residual; `limit` is k."""
-
-    name: ClassVar[str]
-    limit: eqx.AbstractVar[float]
-    redescending: ClassVar[bool] = True  # large residuals lose their influence altogether
-
-    @abc.abstractmethod
-    def weights(self, t: Float[Array, " ray"]) -> Float[Array, " ray"]:
-        """Weights between 0 and 1."""
-
-
-class Huber(AbstractWeightFunction):
-    """The limit is exceeded by 5 % of errors that are normal in both coordinates."""
-
-    name: ClassVar[str] = "huber"
-    limit: float = 2.45
-    redescending: ClassVar[bool] = False
-
-    def weights(self, t: Float[Array, " ray"]) -> Float[Array, " ray"]:
-        return jnp.minimum(1.0, self.limit / jnp.maximum(t, self.limit))
-
-
-class Cauchy(AbstractWeightFunction):
-    """95 % efficient for normal errors of one coordinate at 2.385 (Holland & Welsch 1977)."""
-
-    name: ClassVar[str] = "cauchy"
-    limit: float = 2.385
-
-    def weights(self, t: Float[Array, " ray"]) -> Float[Array, " ray"]:
-        return 1 / (1 + (t / self.limit) ** 2)
-
-
-class Tukey(AbstractWeightFunction):
-    """95 % efficient for normal errors of one coordinate at 4.685 (Holland & Welsch 1977); here wider, for two."""
-
-    name: ClassVar[str] = "tukey"
-    limit: float = 6.0
-
-    def weights(self, t: Float[Array, " ray"]) -> Float[Array, " ray"]:
-        return jnp.maximum(0.0, 1 - (t / self.limit) ** 2) ** 2
-
-
-class Danish(AbstractWeightFunction):
-    """Nothing changes below the limit, which one normal error in ninety exceeds."""
-
-    name: ClassVar[str] = "danish"
-    limit: float = 3.0
-
-    def weights(self, t: Float[Array, " ray"]) -> Float[Array, " ray"]:
-        return jnp.exp(jnp.minimum(0.0, 1 - (t / self.limit) ** 2))
-
-
-WEIGHT_FUNCTIONS = {function.name: function for function in (Huber, Cauchy, Tukey, Danish)}
 
 
 class Solve(NamedTuple):
@@ -109,7 +46,7 @@ def adjust_robustly(block: Block, function: AbstractWeightFunction, solve: Solve
     last = end.adjustment
     if last.status is not Status.INTERRUPTED:
         try:
-            last = solve.fully(_weighted(last.block, np.asarray(block.rays.sigmas), end.weights))
+            last = solve.fully(with_weights(last.block, np.asarray(block.rays.sigmas), end.weights))
         except KeyboardInterrupt:
             last = _interrupted(last)
     weights = on_device(end.weights)
@@ -149,7 +86,7 @@ def _rounds(block: Block, function: AbstractWeightFunction, solve: Solve) -> _En
                     return _End(start, weights, rounds, False, [start.status])
                 new = np.asarray(now.weights(on_device(t)))
                 settled = bool(np.abs(new - weights).max(initial=0.0) < SETTLED)
-                start, weights = solve.quickly(_weighted(start.block, sigmas, new)), new
+                start, weights = solve.quickly(with_weights(start.block, sigmas, new)), new
                 failed = [] if start.status is Status.CONVERGED else [*failed, start.status]
                 if len(failed) == FAILED_ROUNDS:
                     return _End(start, weights, rounds, False, failed)
@@ -172,20 +109,6 @@ def _given_up(end: _End) -> Finding:
         "cure first what keeps the adjustment without robust weights from converging",
         (Subject("rays"),),
     )
-
-
-def reweighted(adjustment: Adjustment) -> Block:
-    """The adjusted block with the sigmas of the last robust round; that of any other adjustment as it is."""
-    robust, block = adjustment.reweighting, adjustment.block
-    if robust is None:
-        return block
-    return _weighted(block, np.asarray(block.rays.sigmas), np.asarray(robust.weights))
-
-
-def _weighted(block: Block, sigmas: np.ndarray, weights: np.ndarray) -> Block:
-    """The block with sigmas for these weights."""
-    factor = np.sqrt(np.maximum(weights, LEAST_WEIGHT))[:, None]
-    return eqx.tree_at(lambda b: b.rays.sigmas, block, on_device(sigmas / factor))
 
 
 def normed_lengths(adjustment: Adjustment, sigmas: np.ndarray, weights: np.ndarray) -> Float[np.ndarray, " ray"]:

@@ -34,7 +34,7 @@ def require_finite_start(block: Block, plan: EliminationPlan, unknowns: OrderedU
     rays = on_host(rays_to_block_order(plan, p.observations.model.components, parts[:of_rays]))
     problems = list(_of_rays(block, np.flatnonzero(_is_bad(rays))))
     for group, residuals in zip(block.groups, parts[of_rays:], strict=True):
-        name = group.structure.kind.name
+        name = group.structure.kind.table
         problems += [
             Problem(
                 f"the observed value and what is computed from the approximate values differ by {_size(v)} sigmas",

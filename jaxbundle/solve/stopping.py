@@ -36,10 +36,17 @@ class StepTaken(NamedTuple):
 
 
 class AbstractStoppingRule(eqx.Module):
-    """A rule measures an accepted step; the solve ends where the measure falls to the limit or below."""
+    """A rule measures an accepted step; the solve ends where the measure falls to the limit or below.
+
+    A rule belongs to no block. What it needs of one, such as who sees what, `of` puts in before a solve.
+    """
 
     name: ClassVar[str]
     limit: eqx.AbstractVar[float]
+
+    def of(self, block: Block) -> "AbstractStoppingRule":
+        """The rule for one block, with what it needs of it."""
+        return self
 
     @abc.abstractmethod
     def measure(self, step: StepTaken) -> Float[Array, ""]:
@@ -54,7 +61,7 @@ class AngleRule(AbstractStoppingRule):
     """|J d| <= limit |v|, after Boerlin & Grussenmeyer (2013): |J d| is what a step still moves the residuals."""
 
     name: ClassVar[str] = "angle"
-    limit: float = 1e-8
+    limit: float = eqx.field(static=True, converter=float, default=1e-8)
 
     def measure(self, step: StepTaken) -> Float[Array, ""]:
         return jnp.sqrt(jnp.maximum(step.angle_squared, 0.0))
@@ -63,28 +70,47 @@ class AngleRule(AbstractStoppingRule):
 class PointRule(AbstractStoppingRule):
     """Largest change of a coordinate of an object point, object unit."""
 
-    limit: float
+    limit: float = eqx.field(static=True, converter=float)
     name: ClassVar[str] = "points"
 
     def measure(self, step: StepTaken) -> Float[Array, ""]:
         return jnp.max(jnp.abs(step.after.points - step.before.points))
 
 
-class ParallaxRule(AbstractStoppingRule):
-    """Fall of the largest y-parallax of all stereo pairs, in units of the principal distance."""
+class StereoPairs(eqx.Module):
+    """Rays of the same point on two images."""
 
-    limit: float
     first_ray: Int[Array, " pair"]
     second_ray: Int[Array, " pair"]
     rays: Observations
+
+
+class ParallaxRule(AbstractStoppingRule):
+    """Fall of the largest y-parallax of all stereo pairs, in units of the principal distance.
+
+    The pairs are successive images of each point: their rays are known once the rule is that of a block.
+    """
+
+    limit: float = eqx.field(static=True, converter=float)
+    pairs: StereoPairs | None = None
     name: ClassVar[str] = "parallax"
+
+    def of(self, block: Block) -> "ParallaxRule":
+        structure = block.structure
+        order = np.lexsort((structure.ray_image, structure.ray_point))
+        image, point = structure.ray_image[order], structure.ray_point[order]
+        # a point measured twice on an image has no base there
+        same = (point[1:] == point[:-1]) & (image[1:] != image[:-1])
+        first, second = jnp.asarray(order[:-1][same]), jnp.asarray(order[1:][same])
+        return ParallaxRule(self.limit, StereoPairs(first, second, observations_of(block)))
 
     def measure(self, step: StepTaken) -> Float[Array, ""]:
         before = jnp.max(jnp.abs(self.parallax(step.before)))
         return before - jnp.max(jnp.abs(self.parallax(step.after)))
 
     def arranged(self, order: Order) -> "ParallaxRule":
-        rays = self.rays
+        assert self.pairs is not None
+        rays = self.pairs.rays
         moved = (
             jnp.asarray(order.image, jnp.int32)[rays.ray_image],
             jnp.asarray(order.point, jnp.int32)[rays.ray_point],
@@ -92,13 +118,16 @@ class ParallaxRule(AbstractStoppingRule):
             .at[order.image]
             .set(jnp.asarray(order.camera, jnp.int32)[rays.image_camera]),
         )
-        return eqx.tree_at(lambda r: (r.rays.ray_image, r.rays.ray_point, r.rays.image_camera), self, moved)
+        where = eqx.tree_at(lambda o: (o.ray_image, o.ray_point, o.image_camera), rays, moved)
+        return eqx.tree_at(lambda r: r.pairs.rays, self, where)
 
     def parallax(self, unknowns: Unknowns) -> Float[Array, " pair"]:
         """y-parallax y' - y'' of each pair, its photographs turned into the normal case along their base."""
-        directions, centres = measured_directions(unknowns, self.rays)
-        u, w = directions[:, self.first_ray], directions[:, self.second_ray]
-        base = centres[:, self.second_ray] - centres[:, self.first_ray]
+        assert self.pairs is not None, "a rule looks at the rays of one block: rule.of(block)"
+        first, second = self.pairs.first_ray, self.pairs.second_ray
+        directions, centres = measured_directions(unknowns, self.pairs.rays)
+        u, w = directions[:, first], directions[:, second]
+        base = centres[:, second] - centres[:, first]
         base = base / jnp.sqrt(jnp.sum(base**2, 0))
         mean = u + w
         depth = mean - base * jnp.sum(mean * base, 0)  # normal case: depth at right angles to the base
@@ -107,32 +136,54 @@ class ParallaxRule(AbstractStoppingRule):
         return jnp.sum(u * across, 0) / jnp.sum(u * depth, 0) - jnp.sum(w * across, 0) / jnp.sum(w * depth, 0)
 
 
-class UnknownRule(AbstractStoppingRule):
-    """Largest change of the chosen unknowns, each in its own unit (angles in radians)."""
+class ChosenUnknowns(eqx.Module):
+    """Which unknowns are looked at."""
 
-    limit: float
     exterior: Bool[Array, "6 image"]
     interior: Bool[Array, "element camera"]
     points: Bool[Array, "3 point"]
+
+
+class UnknownRule(AbstractStoppingRule):
+    """Largest change of the unknowns called `names`, of all where there are none; each in its own unit (angles in
+    radians). A block that has lost some of them, as a point with its last ray, is judged by the others."""
+
+    limit: float = eqx.field(static=True, converter=float)
+    names: tuple[tuple[str, str], ...] = eqx.field(static=True, default=())
+    chosen: ChosenUnknowns | None = None
     name: ClassVar[str] = "unknown"
 
+    def of(self, block: Block) -> "UnknownRule":
+        structure = block.structure
+        exterior = np.full((6, len(structure.image_names)), not self.names)
+        interior = np.full((block.interior.elements.shape[1], len(structure.cameras)), not self.names)
+        points = np.full((3, len(structure.point_names)), not self.names)
+        there = [_choose(structure, who, element, exterior, interior, points) for who, element in self.names]
+        if self.names and not any(there):
+            raise _unknown_name(*self.names[0])
+        return UnknownRule(self.limit, (), ChosenUnknowns(*map(jnp.asarray, (exterior, interior, points))))
+
     def arranged(self, order: Order) -> "UnknownRule":
+        assert self.chosen is not None
         masks = (
-            jnp.zeros((6, order.images), bool).at[:, order.image].set(self.exterior),
-            jnp.zeros((self.interior.shape[0], order.cameras), bool).at[:, order.camera].set(self.interior),
-            jnp.zeros((3, order.points), bool).at[:, order.point].set(self.points),
+            jnp.zeros((6, order.images), bool).at[:, order.image].set(self.chosen.exterior),
+            jnp.zeros((self.chosen.interior.shape[0], order.cameras), bool)
+            .at[:, order.camera]
+            .set(self.chosen.interior),
+            jnp.zeros((3, order.points), bool).at[:, order.point].set(self.chosen.points),
         )
-        return UnknownRule(self.limit, *masks)
+        return UnknownRule(self.limit, (), ChosenUnknowns(*masks))
 
     def measure(self, step: StepTaken) -> Float[Array, ""]:
+        assert self.chosen is not None, "a rule looks at the unknowns of one block: rule.of(block)"
         system = step.observations.system
         old, new = (jnp.stack(system.angles_from_rotation(tuple(u.rotation))) for u in (step.before, step.after))
         turned = jnp.arctan2(jnp.sin(new - old), jnp.cos(new - old))
         exterior = jnp.concatenate([step.after.centre - step.before.centre, turned])
         changes = (
-            (exterior, self.exterior),
-            (step.after.interior - step.before.interior, self.interior),
-            (step.after.points - step.before.points, self.points),
+            (exterior, self.chosen.exterior),
+            (step.after.interior - step.before.interior, self.chosen.interior),
+            (step.after.points - step.before.points, self.chosen.points),
         )
         return jnp.max(jnp.stack([jnp.max(jnp.where(chosen, jnp.abs(change), 0.0)) for change, chosen in changes]))
 
@@ -161,12 +212,7 @@ def measured_directions(
 def parallax_rule(block: Block, delta: float) -> ParallaxRule:
     """The rule for all pairs of successive images of each point."""
     require_a(Block, block, "parallax_rule")
-    structure = block.structure
-    order = np.lexsort((structure.ray_image, structure.ray_point))
-    image, point = structure.ray_image[order], structure.ray_point[order]
-    same = (point[1:] == point[:-1]) & (image[1:] != image[:-1])  # a point measured twice on an image has no base there
-    first, second = jnp.asarray(order[:-1][same]), jnp.asarray(order[1:][same])
-    return ParallaxRule(delta, first, second, observations_of(block))
+    return ParallaxRule(delta)
 
 
 def unknown_rule(block: Block, delta: float, *names: tuple[str, str]) -> UnknownRule:
@@ -175,14 +221,13 @@ def unknown_rule(block: Block, delta: float, *names: tuple[str, str]) -> Unknown
     Raises: ValueError naming what is not in the block.
     """
     require_a(Block, block, "unknown_rule")
-    structure = block.structure
-    exterior = np.full((6, len(structure.image_names)), not names)
-    interior = np.full((block.interior.elements.shape[1], len(structure.cameras)), not names)
-    points = np.full((3, len(structure.point_names)), not names)
-    for who, element in names:
-        if not _choose(structure, who, element, exterior, interior, points):
-            raise ValueError(f"no unknown {element} of {who} in the block; name an image, a camera or a point of it")
-    return UnknownRule(delta, jnp.asarray(exterior), jnp.asarray(interior), jnp.asarray(points))
+    for name in names:
+        UnknownRule(delta, (name,)).of(block)
+    return UnknownRule(delta, names)
+
+
+def _unknown_name(who: str, element: str) -> ValueError:
+    return ValueError(f"no unknown {element} of {who} in the block; name an image, a camera or a point of it")
 
 
 def _choose(structure: Structure, who: str, element: str, exterior, interior, points) -> bool:

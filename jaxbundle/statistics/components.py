@@ -13,9 +13,10 @@ The component of group i is the product of its s_i: its variance of unit weight 
 components are the coefficients of coordination C_i^2 = mu_1^2 / mu_i^2 of the text 001.
 """
 
+import dataclasses
 from collections.abc import Sequence
 from dataclasses import dataclass
-from typing import Any, Literal, NamedTuple
+from typing import Literal, NamedTuple, Unpack
 
 import equinox as eqx
 import numpy as np
@@ -29,6 +30,7 @@ from jaxbundle.block.validate import require_valid
 from jaxbundle.numerics.host import on_device
 from jaxbundle.solve.adjust import adjust
 from jaxbundle.solve.adjustment import Adjustment, Status
+from jaxbundle.solve.options import Choices, Options, chosen
 from jaxbundle.statistics import dense
 from jaxbundle.statistics.reliability import redundancy_numbers
 from jaxbundle.statistics.subsets import Subset, all_observations, require_whole_members, three_groups
@@ -128,12 +130,14 @@ def variance_components(
     form: Form = "redundancy",
     tolerance: float = 1e-6,
     max_rounds: int = 50,
-    **options: Any,
+    options: Options | None = None,
+    **choices: Unpack[Choices],
 ) -> VarianceComponents:
     """Adjusts a block again and again until every group's sigmas agree with its residuals.
 
     `subsets`: disjoint groups of observations, the three of `three_groups` if none are given. `form`: "redundancy" or
-    "helmert". `tolerance`: largest relative change of a component at the end. `options` go to `adjust`.
+    "helmert". `tolerance`: largest relative change of a component at the end. `options` and all other keywords are
+    those of `adjust`.
 
     A group keeps its sigmas a priori while its redundancy is below 3, and for good if it falls below later.
 
@@ -143,22 +147,23 @@ def variance_components(
     require_a(Block, block, "variance_components")
     if form not in ("redundancy", "helmert"):
         raise ValueError(f'no form {form!r}; there are "redundancy" and "helmert"')
-    if options.get("robust") is not None:
+    wanted = chosen(options, choices, "variance_components")
+    if wanted.robust is not None:
         raise ValueError("robust weights and variance components explain the same residuals twice: choose one")
     require_valid(block)
     asked = three_groups(block) if subsets is None else tuple(subsets)
     block, groups = with_datum(block), _with_rest(block, asked)
-    quick: dict[str, Any] = options | {"precision": form == "redundancy"}  # redundancy numbers come with the cofactors
+    # redundancy numbers come with the cofactors
+    quick, fully = (dataclasses.replace(wanted, precision=precision) for precision in (form == "redundancy", True))
     guard, converged, rounds = _Guard(len(groups), len(asked)), False, 0
     while rounds < max_rounds and not converged:
         rounds += 1
-        adjustment = adjust(with_components(block, groups, guard.components), **quick)
+        adjustment = adjust(with_components(block, groups, guard.components), quick)
         if adjustment.status is not Status.CONVERGED:
             raise ValueError(f"no variance components: adjustment {rounds} on the way {adjustment.status.words}")
         block = _moved_on(block, adjustment)
         converged = guard.followed(_Step.of(adjustment, groups, form), tolerance)
-    fully: dict[str, Any] = options | {"precision": True}
-    last = adjust(with_components(block, groups, guard.components), **fully)
+    last = adjust(with_components(block, groups, guard.components), fully)
     deviations, bounds = _deviations(last, groups, guard.free)
     return VarianceComponents(
         form=form,

@@ -19,7 +19,6 @@ from jaxbundle.normals.cholesky import inverse_factor
 from jaxbundle.numerics.compilation import Compiled
 from jaxbundle.numerics.host import on_device
 from jaxbundle.solve.adjustment import Adjustment
-from jaxbundle.solve.robust import reweighted
 from jaxbundle.statistics.design import design_columns, elements, free_elements
 from jaxbundle.statistics.subsets import Subset
 
@@ -92,7 +91,7 @@ def dense_system(adjustment: Adjustment) -> DenseSystem:
 
     Raises: ValueError for a large block, and for unknowns that are not determined.
     """
-    return block_system(reweighted(adjustment))
+    return block_system(adjustment.weighted_block)
 
 
 def block_system(block: Block) -> DenseSystem:

@@ -28,7 +28,7 @@ from jaxbundle.block.datum import with_datum
 from jaxbundle.block.residuals import Observations, observations_of
 from jaxbundle.block.unknowns import Unknowns, unknowns_of
 from jaxbundle.normals.from_block import BlockVectors, ordered_vectors, problem, to_elimination_order
-from jaxbundle.normals.plan.elimination_plan import plan_elimination
+from jaxbundle.normals.plan.known_plans import planned
 from jaxbundle.normals.problem import NormalVector, OrderedUnknowns, Problem
 from jaxbundle.normals.solve_normals import solve_normals
 from jaxbundle.numerics.compilation import RAYS_FOR_OPTIMISATION, Compiled
@@ -117,7 +117,7 @@ def _explained_by_elimination(
 ) -> Float[np.ndarray, "column column"]:
     """(A^T C)^T N^-1 (A^T C) by the elimination of the points."""
     centres = np.asarray(block.exterior.projection_centre)
-    plan = plan_elimination(block.structure, block.groups, centres, 1)
+    plan = planned(block.structure, block.groups, centres, 1)
     padded = [np.pad(x, [(0, grid_size(len(x)) - len(x)), *[(0, 0)] * (x.ndim - 1)]) for x in products]
     rows = ordered_vectors(plan, block.structure, BlockVectors(*padded))
     optimised = len(block.structure.ray_image) >= RAYS_FOR_OPTIMISATION

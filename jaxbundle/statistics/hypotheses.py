@@ -96,7 +96,7 @@ def subject_of(block: Block, table: int, row: int) -> Subject:
     touched = list(zip(structure.kind.touches, structure.indices[row].tolist(), strict=True))
     if structure.kind.touches[0] != "parameter":  # parameters belong to the row only where it is an observed one
         touched = [(kind, k) for kind, k in touched if kind != "parameter"]
-    return Subject(structure.kind.name, tuple(names[kind](k) for kind, k in touched))
+    return Subject(structure.kind.table, tuple(names[kind](k) for kind, k in touched))
 
 
 def unit_of(block: Block, table: int, row: int) -> str:

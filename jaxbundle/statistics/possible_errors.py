@@ -172,7 +172,7 @@ class _Collection:
         ]
         tables["control"] = [("", control)]
         for k, group in enumerate(self.block.groups, 1):
-            name = group.structure.kind.name
+            name = group.structure.kind.table
             if name in ("stations", "attitudes"):
                 tables.setdefault(name, [])
                 tables[name] += [(of, [(k, r) for r in rows]) for of, rows in _sharing(self.block, group)]
@@ -227,7 +227,8 @@ class _Collection:
                 for bar in dict.fromkeys(structure.indices[:, 2].tolist()):
                     of_bar = rows[structure.indices[:, 2] == bar]
                     if len(of_bar) > 1:
-                        name = self.s.parameters[bar].name.removeprefix("length of bar ")
+                        parameter = self.s.parameters[bar]
+                        name = parameter.owner.name if parameter.owner else parameter.name
                         self._alike(Subject("bars", (name,)), Cause.SHIFT, k, of_bar, np.ones(len(of_bar)))
             else:
                 lengths = np.asarray(group.values)[:, 0]
@@ -341,8 +342,8 @@ def _sharing(block: Block, group: ObservationGroup) -> list[tuple[str, list[int]
     sets = []
     for own in np.unique(shared, axis=0) if shared.shape[1] else [np.zeros(0, int)]:
         rows = np.flatnonzero((shared == own).all(1) & structure.observed.any(1)).tolist()
-        name = block.structure.parameters[own[0]].name if len(own) else ""
-        sets.append((name.partition(" of ")[2], rows))
+        owner = block.structure.parameters[own[0]].owner if len(own) else None
+        sets.append((owner.name if owner else "", rows))
     named = _alike_named(block, structure.indices[:, 0], np.any(structure.observed, axis=1))
     return [*sets, *named] if len(sets) == 1 else sets
 

@@ -18,7 +18,8 @@ from jaxbundle.block.datum import with_datum
 from jaxbundle.block.given import require_a
 from jaxbundle.block.unknowns import angle_derivatives, unknowns_of
 from jaxbundle.normals.from_block import BlockVectors, ordered_vectors, problem, to_elimination_order
-from jaxbundle.normals.plan.elimination_plan import EliminationPlan, plan_elimination
+from jaxbundle.normals.plan.elimination_plan import EliminationPlan
+from jaxbundle.normals.plan.known_plans import planned
 from jaxbundle.normals.problem import NormalVector, OrderedUnknowns, Problem
 from jaxbundle.normals.solve_normals import solve_normals
 from jaxbundle.numerics.compilation import RAYS_FOR_OPTIMISATION, Compiled
@@ -26,7 +27,6 @@ from jaxbundle.numerics.host import on_device
 from jaxbundle.numerics.trial import first_line
 from jaxbundle.solve.adjustment import Adjustment
 from jaxbundle.solve.free_network import carrying_places, with_inner_constraints
-from jaxbundle.solve.robust import reweighted
 
 EXAMPLE = "for example jb.covariance_of(result, lambda block: block.object_points[jnp.array([3, 7])])"
 
@@ -66,12 +66,12 @@ def covariance_of(adjustment: Adjustment, function: Callable[[Block], Array]) ->
     require_a(Adjustment, adjustment, "covariance_of")
     if adjustment.reduced == "pcg":
         raise ValueError("conjugate gradients give no variances: adjust with another solver")
-    adjusted = reweighted(adjustment)
+    adjusted = adjustment.weighted_block
     values, derivatives = _linearised(adjusted, function)
     block = with_datum(adjusted)
     centres = np.asarray(block.exterior.projection_centre)
     centred = block.moved(on_device(-centres.mean(0)))
-    plan = plan_elimination(block.structure, block.groups, centres, 1)
+    plan = planned(block.structure, block.groups, centres, 1)
     args = to_elimination_order(plan, unknowns_of(centred)), problem(plan, centred)
     rows = _arranged_rows(plan, block, derivatives)
     inner = block.structure.datum.constraints

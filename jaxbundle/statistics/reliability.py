@@ -21,7 +21,6 @@ from scipy.special import ndtri, stdtrit
 from jaxbundle.block.given import require_a
 from jaxbundle.numerics.host import on_host
 from jaxbundle.solve.adjustment import Adjustment
-from jaxbundle.solve.robust import reweighted
 
 LEVEL = 0.001  # of one test, and
 POWER = 0.80  # its power: Baarda's usual choice
@@ -86,7 +85,7 @@ def reliability(adjustment: Adjustment, level: float = LEVEL, power: float = POW
     numbers = redundancy_numbers(adjustment)
     groups = adjustment.block.groups
     observed = [np.ones(adjustment.residuals[0].shape, bool), *(group.structure.observed for group in groups)]
-    sigmas = [np.asarray(reweighted(adjustment).rays.sigmas), *(_sigmas(group) for group in groups)]
+    sigmas = [np.asarray(adjustment.weighted_block.rays.sigmas), *(_sigmas(group) for group in groups)]
     delta = non_centrality(level, power)
     tables = []
     for r, v, is_observed, sigma in zip(numbers, adjustment.weighted_residuals, observed, sigmas, strict=True):

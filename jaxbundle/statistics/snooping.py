@@ -54,7 +54,10 @@ class Snooping(NamedTuple):
 
 
 def snoop(adjustment: Adjustment, level: float = LEVEL, most: int = 50) -> Snooping:
-    """Removes suspect observations one by one. `level`: of all tests together; `most`: removals at most.
+    """Removes suspect observations one by one, and adjusts again with the options of the adjustment.
+
+    `level`: of all tests together; `most`: removals at most. A robust adjustment, whose residuals its own weights have
+    made small, is returned as it is.
 
     Raises: ValueError where the adjustment has no redundancy numbers.
     """
@@ -66,7 +69,7 @@ def snoop(adjustment: Adjustment, level: float = LEVEL, most: int = 50) -> Snoop
         if worst is None:
             break
         observations, found = worst
-        adjustment = adjust(_without(adjustment.block, observations))
+        adjustment = adjust(_without(adjustment.block, observations), adjustment.options)
         removed.append(found._replace(sigma0=float(adjustment.sigma0)))
     return Snooping(adjustment, tuple(removed), not find_suspects(adjustment, level).suspicions)
 
@@ -124,4 +127,4 @@ def describe(block: Block, table: int, row: int, component: int) -> tuple[tuple[
         "parameter": tuple(p.name for p in s.parameters),
     }
     touched = tuple(names[kind][i] for kind, i in zip(structure.kind.touches, structure.indices[row], strict=True))
-    return touched, structure.kind.name, structure.kind.components[component]
+    return touched, structure.kind.table, structure.kind.components[component]

@@ -87,15 +87,22 @@ def image_rays(block: Block, images: Collection[str], name: str) -> Subset:
 
 
 def observations_of_kind(block: Block, kind: str, components: Collection[str] | None = None) -> Subset:
-    """All observations of a kind by the name of its table, or some components: XY or Z of "control", say."""
+    """All observations of a kind by its name, or some components, such as XY or Z of "control".
+
+    "stations" are observed projection centres without systematic errors, "gnss_stations" those with such errors.
+
+    Raises: ValueError for a kind or a component that the block does not have.
+    """
     require_a(Block, block, "observations_of_kind")
-    kinds = {group.structure.kind.name: group.structure.kind for group in block.groups}
+    kinds: dict[str, dict[str, None]] = {}  # cameras of different models have different elements in "interior"
+    for group in block.groups:
+        kinds.setdefault(group.structure.kind.name, {}).update(dict.fromkeys(group.structure.kind.components))
     if kind not in kinds:
         raise ValueError(f"the block has no observations {kind!r}; there are {', '.join(kinds) or 'none'}")
-    wanted = kinds[kind].components if components is None else tuple(components)
-    missing = [component for component in wanted if component not in kinds[kind].components]
+    wanted = tuple(kinds[kind]) if components is None else tuple(components)
+    missing = [component for component in wanted if component not in kinds[kind]]
     if missing:
-        raise ValueError(f"{kind} has no component {missing[0]!r}; there are {', '.join(kinds[kind].components)}")
+        raise ValueError(f"{kind} has no component {missing[0]!r}; there are {', '.join(kinds[kind])}")
 
     def chosen(group: ObservationGroup) -> Mask:
         own = np.isin(group.structure.kind.components, wanted) & (group.structure.kind.name == kind)

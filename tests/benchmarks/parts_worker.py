@@ -37,7 +37,7 @@ from jaxbundle.normals.reduced_system import ReducedSystem, factorise, step  # n
 from jaxbundle.normals.reduced_vector import correction_of, values_along  # noqa: E402
 from jaxbundle.normals.step import linearise, placed, reduced_system, trial_step  # noqa: E402
 from jaxbundle.solve.adjust import RAYS_FOR_DEVICES  # noqa: E402
-from jaxbundle.solve.search import DampedSearch  # noqa: E402
+from jaxbundle.solve.damping import Marquardt  # noqa: E402
 
 REPETITIONS, LONG = 9, 20.0  # turns, and seconds after which no further one begins
 
@@ -50,7 +50,7 @@ def arranged(block: Block, direct: bool, solver: Method = "auto") -> tuple[Order
     centres = np.asarray(block.exterior.projection_centre)
     plan = plan_elimination(block.structure, block.groups, centres, devices, solver, direct=direct)
     return placed(
-        to_elimination_order(plan, unknowns_of(centred)), problem(plan, centred), DampedSearch().first().damping
+        to_elimination_order(plan, unknowns_of(centred)), problem(plan, centred), Marquardt().initial_state().factor
     )
 
 

@@ -1,0 +1,85 @@
+"""Weight functions of robust estimation, and a block with the weights that they give.
+
+    Huber (1964)                w = 1 for t <= k, k / t beyond
+    Cauchy                      w = 1 / (1 + (t / k)^2)
+    Tukey's biweight (1974)     w = (1 - (t / k)^2)^2 for t <= k, 0 beyond
+    Danish method               w = 1 for t <= k, exp(1 - (t / k)^2) beyond       after Krarup, Juhl & Kubik (1980)
+
+t is the length of a ray's residual over its sigmas and over the scale of all of them. The last three forget large
+residuals altogether and have many minima.
+"""
+
+import abc
+from typing import ClassVar
+
+import equinox as eqx
+import jax.numpy as jnp
+import numpy as np
+from jaxtyping import Array, Float
+
+from jaxbundle.block.block import Block
+from jaxbundle.numerics.host import on_device
+
+LEAST_WEIGHT = 1e-12  # of a ray without weight, in place of 0: its sigma stays a number
+
+
+class AbstractWeightFunction(eqx.Module):
+    """A weight by the normed length of a ray's residual; `limit` is k."""
+
+    name: ClassVar[str]
+    limit: eqx.AbstractVar[float]
+    redescending: ClassVar[bool] = True  # large residuals lose their influence altogether
+
+    @abc.abstractmethod
+    def weights(self, t: Float[Array, " ray"]) -> Float[Array, " ray"]:
+        """Weights between 0 and 1."""
+
+
+class Huber(AbstractWeightFunction):
+    """The limit is exceeded by 5 % of errors that are normal in both coordinates."""
+
+    name: ClassVar[str] = "huber"
+    limit: float = eqx.field(static=True, converter=float, default=2.45)
+    redescending: ClassVar[bool] = False
+
+    def weights(self, t: Float[Array, " ray"]) -> Float[Array, " ray"]:
+        return jnp.minimum(1.0, self.limit / jnp.maximum(t, self.limit))
+
+
+class Cauchy(AbstractWeightFunction):
+    """95 % efficient for normal errors of one coordinate at 2.385 (Holland & Welsch 1977)."""
+
+    name: ClassVar[str] = "cauchy"
+    limit: float = eqx.field(static=True, converter=float, default=2.385)
+
+    def weights(self, t: Float[Array, " ray"]) -> Float[Array, " ray"]:
+        return 1 / (1 + (t / self.limit) ** 2)
+
+
+class Tukey(AbstractWeightFunction):
+    """95 % efficient for normal errors of one coordinate at 4.685 (Holland & Welsch 1977); here wider, for two."""
+
+    name: ClassVar[str] = "tukey"
+    limit: float = eqx.field(static=True, converter=float, default=6.0)
+
+    def weights(self, t: Float[Array, " ray"]) -> Float[Array, " ray"]:
+        return jnp.maximum(0.0, 1 - (t / self.limit) ** 2) ** 2
+
+
+class Danish(AbstractWeightFunction):
+    """Nothing changes below the limit, which one normal error in ninety exceeds."""
+
+    name: ClassVar[str] = "danish"
+    limit: float = eqx.field(static=True, converter=float, default=3.0)
+
+    def weights(self, t: Float[Array, " ray"]) -> Float[Array, " ray"]:
+        return jnp.exp(jnp.minimum(0.0, 1 - (t / self.limit) ** 2))
+
+
+WEIGHT_FUNCTIONS = {function.name: function for function in (Huber, Cauchy, Tukey, Danish)}
+
+
+def with_weights(block: Block, sigmas: Float[np.ndarray, "ray 2"], weights: Float[np.ndarray, " ray"]) -> Block:
+    """The block with sigmas of the rays that are `sigmas` of these weights."""
+    factor = np.sqrt(np.maximum(weights, LEAST_WEIGHT))[:, None]
+    return eqx.tree_at(lambda b: b.rays.sigmas, block, on_device(sigmas / factor))
