@@ -13,6 +13,7 @@ os.environ["XLA_FLAGS"] = f"{os.environ.get('XLA_FLAGS', '')} {QUICKLY}"
 jax.config.update("jax_enable_x64", True)
 jax.config.update("jax_num_cpu_devices", 4)
 
+MAPS, MAX_MAPS = Path("/proc/self/maps"), 20_000
 SHARED_DATA = Path(__file__).parents[2] / "shared" / "data"
 
 
@@ -27,10 +28,14 @@ def pytest_configure(config: pytest.Config) -> None:
 
 @pytest.fixture(scope="module", autouse=True)
 def forgotten_programs():
-    """Programs hold memory maps, of which a process may have some 65 thousand (vm.max_map_count)."""
+    """Programs hold memory maps, of which a process may have some 65 thousand (vm.max_map_count).
+
+    They are forgotten only where these become many: what the next module needs again is not compiled again.
+    """
     yield
-    Compiled.forget()
-    jax.clear_caches()
+    if not MAPS.exists() or MAPS.read_bytes().count(b"\n") > MAX_MAPS:
+        Compiled.forget()
+        jax.clear_caches()
 
 
 @pytest.fixture(scope="session")

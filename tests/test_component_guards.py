@@ -26,7 +26,7 @@ from jaxbundle.statistics.subsets import (
     tie_rays,
 )
 
-pytestmark = [pytest.mark.thorough, pytest.mark.xdist_group("component_guards")]
+pytestmark = pytest.mark.thorough
 
 
 @pytest.fixture(scope="module")

@@ -14,7 +14,7 @@ from jaxbundle.statistics.components import VarianceComponents, helmert_system, 
 from jaxbundle.statistics.dense import redundancy_numbers
 from jaxbundle.statistics.subsets import three_groups
 
-pytestmark = [pytest.mark.thorough, pytest.mark.xdist_group("components")]
+pytestmark = pytest.mark.thorough
 
 RUNS = 40
 A_PRIORI = np.array([0.005, 0.005, 0.1])  # what the adjuster believes

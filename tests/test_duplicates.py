@@ -21,8 +21,6 @@ from jaxbundle.solve.adjust import adjust
 from jaxbundle.solve.adjustment import Status
 from jaxbundle.solve.stopping import parallax_rule
 
-pytestmark = pytest.mark.xdist_group("duplicates")
-
 
 def measured_again(block: Block, rays: np.ndarray, off: float = 0.7, seed: int = 0) -> Block:
     """The block with some rays measured again: other coordinates, other sigmas, anywhere between the other rays."""

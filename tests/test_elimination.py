@@ -98,7 +98,7 @@ BLOCKS = {
 }
 
 
-@pytest.fixture(scope="module", params=[pytest.param(name, marks=pytest.mark.xdist_group(name)) for name in BLOCKS])
+@pytest.fixture(scope="module", params=BLOCKS)
 def block(request) -> Block:
     """Two strips with weighted and fixed control, observed stations and self-calibration, and something more."""
     return BLOCKS[request.param](small_block().block)

@@ -17,8 +17,6 @@ from jaxbundle.block.observations import observation_group
 from jaxbundle.block.problems import BlockError
 from jaxbundle.solve.adjust import adjust
 
-pytestmark = pytest.mark.xdist_group("free_network")  # its fixtures are dear: one worker makes them
-
 
 def inner(block: Block, points: tuple[str, ...] = ()) -> Block:
     return dataclasses.replace(

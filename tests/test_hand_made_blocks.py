@@ -18,8 +18,6 @@ from jaxbundle.block.magnitudes import repeated_rows
 from jaxbundle.block.observations import ObservationKind
 from jaxbundle.camera.forward import BAL
 
-pytestmark = pytest.mark.xdist_group("hand_made")
-
 
 @pytest.fixture(scope="module")
 def block():

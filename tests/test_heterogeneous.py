@@ -17,7 +17,7 @@ from jaxbundle.numerics.compilation import QUICKLY
 from jaxbundle.solve.adjust import adjust
 from jaxbundle.solve.adjustment import Adjustment, Status
 
-pytestmark = [pytest.mark.thorough, pytest.mark.xdist_group("heterogeneous")]
+pytestmark = pytest.mark.thorough
 
 DRAWS = 500
 ONE_IN_A_MILLION = 1e-6

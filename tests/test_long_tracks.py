@@ -17,7 +17,7 @@ from jaxbundle.planning.flight import AerialCamera
 from jaxbundle.planning.simulate import exact_coordinates, simulate
 from jaxbundle.solve.adjust import adjust
 
-pytestmark = [pytest.mark.thorough, pytest.mark.xdist_group("long_tracks")]
+pytestmark = pytest.mark.thorough
 
 HEIGHT = 1500.0
 CAMERA = AerialCamera(principal_distance=100.0, width=104.0, height=68.0, pixel_size=0.006, offset=(0.05, -0.03))

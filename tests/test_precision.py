@@ -11,7 +11,7 @@ from test_free_network import inner
 from jaxbundle.solve.adjust import adjust
 from jaxbundle.statistics.precision import covariance_of, error_ellipses, error_ellipsoids
 
-pytestmark = [pytest.mark.thorough, pytest.mark.xdist_group("precision")]
+pytestmark = pytest.mark.thorough
 
 
 @pytest.fixture(scope="module")

@@ -18,8 +18,6 @@ from jaxbundle.solve import robust as solve_robust
 from jaxbundle.solve.adjustment import Status
 from jaxbundle.statistics.precision import Estimated
 
-pytestmark = pytest.mark.xdist_group("python_errors")
-
 
 @pytest.fixture(scope="module")
 def block():

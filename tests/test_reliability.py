@@ -26,7 +26,7 @@ from jaxbundle.statistics.reliability import (
 )
 from jaxbundle.statistics.snooping import snoop
 
-pytestmark = [pytest.mark.thorough, pytest.mark.xdist_group("reliability")]
+pytestmark = pytest.mark.thorough
 
 DRAWS = 1000
 ONE_IN_A_MILLION = 1e-6
