@@ -1,8 +1,10 @@
+import gc
 import os
 from pathlib import Path
 
 import jax
 import pytest
+from hypothesis import settings
 
 from jaxbundle.numerics import programs
 from jaxbundle.numerics.compilation import Compiled
@@ -13,6 +15,11 @@ os.environ["XLA_FLAGS"] = f"{os.environ.get('XLA_FLAGS', '')} {QUICKLY}"
 jax.config.update("jax_enable_x64", True)
 jax.config.update("jax_num_cpu_devices", 4)
 
+settings.register_profile("reproducible", derandomize=True, deadline=None)
+settings.load_profile("reproducible")
+
+gc.set_threshold(100_000, 20, 100)  # tracing makes many objects and few cycles
+MAPS, MAX_MAPS = Path("/proc/self/maps"), 20_000
 SHARED_DATA = Path(__file__).parents[2] / "shared" / "data"
 
 
@@ -27,10 +34,14 @@ def pytest_configure(config: pytest.Config) -> None:
 
 @pytest.fixture(scope="module", autouse=True)
 def forgotten_programs():
-    """Programs hold memory maps, of which a process may have some 65 thousand (vm.max_map_count)."""
+    """Programs hold memory maps, of which a process may have some 65 thousand (vm.max_map_count).
+
+    They are forgotten only where these become many: what the next module needs again is not compiled again.
+    """
     yield
-    Compiled.forget()
-    jax.clear_caches()
+    if not MAPS.exists() or MAPS.read_bytes().count(b"\n") > MAX_MAPS:
+        Compiled.forget()
+        jax.clear_caches()
 
 
 @pytest.fixture(scope="session")

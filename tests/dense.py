@@ -36,15 +36,18 @@ def centred(block: Block) -> tuple[Unknowns, Observations]:
     return unknowns_of(block), observations_of(block)
 
 
-def masks(o: Observations) -> tuple[np.ndarray, ...]:
+Masks = tuple[np.ndarray, ...]
+
+
+def masks(o: Observations) -> Masks:
     """What is free: exterior, interior by column, parameters, object points."""
     return tuple(map(np.asarray, (o.exterior_free, o.interior_free, o.parameter_free, o.point_free)))
 
 
-def moved(unknowns: Unknowns, o: Observations, d: Float[Array, " free"]) -> Unknowns:
-    """The unknowns after a correction of the free elements."""
+def moved(unknowns: Unknowns, o: Observations, d: Float[Array, " free"], free: Masks | None = None) -> Unknowns:
+    """The unknowns after a correction of the free elements; `free`: the masks of observations that are traced."""
     fields, first = [], 0
-    for mask in masks(o):
+    for mask in masks(o) if free is None else free:
         fields.append(jnp.zeros(mask.shape).at[mask].set(d[first : first + mask.sum()]))
         first += int(mask.sum())
     exterior, by_column, parameters, points = fields
@@ -82,19 +85,22 @@ def free_count(o: Observations) -> int:
     return sum(int(mask.sum()) for mask in masks(o))
 
 
-def residual_vector(unknowns: Unknowns, o: Observations, d: Float[Array, " free"]) -> Float[Array, " observation"]:
+def residual_vector(
+    unknowns: Unknowns, o: Observations, d: Float[Array, " free"], free: Masks | None = None
+) -> Float[Array, " observation"]:
     """Weighted residuals of all observations after a correction."""
-    return jnp.concatenate([v.ravel() for v in weighted_residuals(moved(unknowns, o, d), o)])
+    return jnp.concatenate([v.ravel() for v in weighted_residuals(moved(unknowns, o, d, free), o)])
 
 
 def dense_system(unknowns: Unknowns, o: Observations) -> System:
-    """Design matrix and residuals at the unknowns."""
+    """Design matrix and residuals at the unknowns; values are arguments, so that blocks of one form share a program."""
+    free = masks(o)
 
-    def both(zero: Float[Array, " free"]) -> tuple[Array, Array]:
-        v, linear = jax.linearize(lambda d: residual_vector(unknowns, o, d), zero)
+    def both(zero: Float[Array, " free"], unknowns: Unknowns, o: Observations) -> tuple[Array, Array]:
+        v, linear = jax.linearize(lambda d: residual_vector(unknowns, o, d, free), zero)
         return jax.vmap(linear, out_axes=1)(jnp.eye(len(zero))), v
 
-    design, v = jax.jit(both, compiler_options=QUICKLY)(jnp.zeros(free_count(o)))
+    design, v = jax.jit(both, compiler_options=QUICKLY)(jnp.zeros(free_count(o)), unknowns, o)
     return System(np.asarray(design), np.asarray(v))
 
 

@@ -9,8 +9,6 @@ from jaxbundle.block.block import Block
 from jaxbundle.block.findings import Kind, Subject
 from jaxbundle.diagnosis.after_failure import causes
 
-pytestmark = pytest.mark.xdist_group("start")
-
 
 @pytest.fixture(scope="module")
 def cured(shared_data) -> Block:

@@ -26,8 +26,6 @@ from jaxbundle.statistics.subsets import (
     tie_rays,
 )
 
-pytestmark = [pytest.mark.thorough, pytest.mark.xdist_group("component_guards")]
-
 
 @pytest.fixture(scope="module")
 def block() -> Block:

@@ -16,8 +16,6 @@ from jaxbundle.statistics import dense
 from jaxbundle.statistics.dense import block_system, redundancy_numbers
 from jaxbundle.statistics.subsets import all_observations
 
-pytestmark = pytest.mark.xdist_group("dense_statistics")  # its fixtures are dear: one worker makes them
-
 
 @pytest.mark.parametrize("name", ["correlated", "navigation"])
 def test_every_kind_of_observation(name):

@@ -6,10 +6,11 @@ import equinox as eqx
 import jax.numpy as jnp
 import numpy as np
 import pytest
+from block_variants import changed, with_distances
 from dense import centred, dense_cofactors, dense_system, free_values
+from dense_steps import assert_dense_steps
+from long_tracks import block_of
 from simulated import small_block
-from test_elimination import assert_dense_steps, changed, with_distances
-from test_long_tracks import block_of
 
 from jaxbundle.block.block import Block, Rays
 from jaxbundle.block.validate import validate
@@ -20,8 +21,6 @@ from jaxbundle.normals.plan.tiling import SLOTS
 from jaxbundle.solve.adjust import adjust
 from jaxbundle.solve.adjustment import Status
 from jaxbundle.solve.stopping import parallax_rule
-
-pytestmark = pytest.mark.xdist_group("duplicates")
 
 
 def measured_again(block: Block, rays: np.ndarray, off: float = 0.7, seed: int = 0) -> Block:

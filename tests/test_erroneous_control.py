@@ -14,8 +14,6 @@ from jaxbundle.solve.adjust import adjust
 from jaxbundle.statistics.influence import Influence, influence
 from jaxbundle.statistics.subsets import all_control
 
-pytestmark = pytest.mark.xdist_group("erroneous_control")  # its fixtures are dear: one worker makes them
-
 EXAMPLE = Path(__file__).parents[1] / "examples" / "04_erroneous_control.py"
 # errors of X0 Y0 Z0 [m], alpha omega kappa [']; l = measured - computed of the points 1-4 [um], x then y
 FREE = ([0] * 6, [0, 0, 0, -69.8, 0, 0, 0, -4.1])

@@ -15,8 +15,6 @@ from jaxbundle.io import read_block_folder, write_block_folder
 from jaxbundle.report import report_dict, report_text, write_report
 from jaxbundle.solve.adjust import adjust
 
-pytestmark = pytest.mark.xdist_group("fiducials")  # its fixtures are dear: one worker makes them
-
 
 def scanned(matrix, noise=0.0, seed=0):
     """The fiducials in px of a film that this matrix brings to mm."""

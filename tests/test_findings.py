@@ -18,8 +18,6 @@ from jaxbundle.solve.verdict import with_verdict
 from jaxbundle.statistics.reliability import redundancy_numbers
 from jaxbundle.statistics.significance import insignificant
 
-pytestmark = pytest.mark.xdist_group("small block")
-
 
 @pytest.fixture(scope="module")
 def adjustment() -> Adjustment:

@@ -8,8 +8,8 @@ import jax
 import jax.numpy as jnp
 import numpy as np
 import pytest
+from block_variants import changed
 from heterogeneous import strip
-from test_elimination import changed
 
 import jaxbundle as jb
 from jaxbundle.block.consistency import inconsistencies
@@ -17,8 +17,6 @@ from jaxbundle.block.findings import Kind
 from jaxbundle.block.magnitudes import repeated_rows
 from jaxbundle.block.observations import ObservationKind
 from jaxbundle.camera.forward import BAL
-
-pytestmark = pytest.mark.xdist_group("hand_made")
 
 
 @pytest.fixture(scope="module")

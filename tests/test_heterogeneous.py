@@ -6,18 +6,16 @@ import jax.numpy as jnp
 import numpy as np
 import pytest
 from dense import centred, dense_cofactors, dense_step, dense_system, difference, free_values, sizes
+from dense_steps import DAMPINGS, block_steps
 from heterogeneous import PAIRS, case, drawn
 from jaxtyping import Array
 from scipy.stats import chi2
-from test_elimination import DAMPINGS, block_steps
 
 from jaxbundle.block.block import Block
 from jaxbundle.block.unknowns import unknowns_of
 from jaxbundle.numerics.compilation import QUICKLY
 from jaxbundle.solve.adjust import adjust
 from jaxbundle.solve.adjustment import Adjustment, Status
-
-pytestmark = [pytest.mark.thorough, pytest.mark.xdist_group("heterogeneous")]
 
 DRAWS = 500
 ONE_IN_A_MILLION = 1e-6
@@ -34,6 +32,7 @@ def reported(block) -> Adjustment:
     return adjust(block)
 
 
+@pytest.mark.thorough
 def test_steps(block):
     """From values with errors, at all dampings."""
     start = drawn(block, jax.random.key(1))
@@ -84,6 +83,7 @@ def test_redundancy_numbers_are_those_of_the_dense_equations(reported):
     assert found.sum() == pytest.approx(reported.redundancy, rel=1e-9)
 
 
+@pytest.mark.thorough
 def test_scatter_is_the_reported_covariance(block, reported):
     """All unknowns together, 500 adjustments in one program: e^T Q^-1 e and v^T P v follow their chi-squares."""
 

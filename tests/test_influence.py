@@ -27,8 +27,6 @@ from jaxbundle.statistics.subsets import (
     observed_points,
 )
 
-pytestmark = pytest.mark.xdist_group("influence")  # its fixtures are dear: one worker makes them
-
 RAYS = 0.005  # mm
 
 

@@ -12,8 +12,6 @@ from jaxbundle.block.findings import Kind, Severity, of_kind
 from jaxbundle.block.problems import BlockError
 from jaxbundle.io import read
 
-pytestmark = pytest.mark.xdist_group("strasbourg")  # one process compiles for the block
-
 
 @pytest.fixture(scope="module")
 def mistakes(shared_data: Path) -> ModuleType:

@@ -24,8 +24,6 @@ from jaxbundle.block.observations import (
 from jaxbundle.io import read_block_folder, write_block_folder
 from jaxbundle.solve.adjust import adjust
 
-pytestmark = pytest.mark.xdist_group("surveyed")  # one process compiles the adjustment of the site
-
 
 @pytest.fixture(scope="module")
 def folder(tmp_path_factory: pytest.TempPathFactory) -> Path:

@@ -16,8 +16,6 @@ from jaxbundle.block.observations import CONTROL, ObservationGroup
 from jaxbundle.block.problems import BlockError
 from jaxbundle.io import read_block_folder, write_block_folder
 
-pytestmark = pytest.mark.xdist_group("observation_writer")  # its fixtures are dear: one worker makes them
-
 
 @pytest.fixture(scope="module")
 def block(tmp_path_factory: pytest.TempPathFactory) -> Block:

@@ -14,7 +14,6 @@ from jaxbundle.block.block import Block
 from jaxbundle.block.findings import Finding, Kind, Severity, Subject
 from jaxbundle.diagnosis.before import plausibility, prepared
 
-pytestmark = pytest.mark.xdist_group("start")
 CLEAN_CASES = (
     "01-gcp-axes-swapped/cured",
     "04-gcps-on-a-line/line-with-noise",

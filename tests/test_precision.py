@@ -4,19 +4,16 @@ import jax.numpy as jnp
 import numpy as np
 import pytest
 from dense import centred, dense_cofactors
+from free_networks import free_network, inner
 from heterogeneous import case
-from test_datum import free_network
-from test_free_network import inner
 
 from jaxbundle.solve.adjust import adjust
 from jaxbundle.statistics.precision import covariance_of, error_ellipses, error_ellipsoids
 
-pytestmark = [pytest.mark.thorough, pytest.mark.xdist_group("precision")]
-
 
 @pytest.fixture(scope="module")
 def reported():
-    return adjust(case("figures"))
+    return adjust(case("figures and correlated"))
 
 
 def several(block):
@@ -66,6 +63,7 @@ def test_covariance_is_the_dense_one(reported):
     np.testing.assert_allclose(found.standard_deviations, scale, rtol=1e-8)
 
 
+@pytest.mark.thorough
 def test_free_network_has_its_own_variances():
     """Of single coordinates they are those reported; of a ratio of distances, the same in every datum."""
     block = free_network(2)

@@ -18,8 +18,6 @@ from jaxbundle.solve import robust as solve_robust
 from jaxbundle.solve.adjustment import Status
 from jaxbundle.statistics.precision import Estimated
 
-pytestmark = pytest.mark.xdist_group("python_errors")
-
 
 @pytest.fixture(scope="module")
 def block():
@@ -112,7 +110,6 @@ def test_shapes_of_one_number():
     assert found.standard_deviations.shape == () and found.standard_deviations == 3.0
 
 
-@pytest.mark.thorough
 def test_covariance_of_one_number(result):
     found = jb.covariance_of(result, lambda b: b.object_points[3, 2])
     assert found.values.shape == found.covariance.shape == found.standard_deviations.shape == ()

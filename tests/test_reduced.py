@@ -1,8 +1,5 @@
 """The reduced normal equations against dense linear algebra."""
 
-import subprocess
-import sys
-
 import jax
 import jax.numpy as jnp
 import numpy as np
@@ -114,12 +111,9 @@ def test_step_and_cofactors_are_those_of_the_dense_matrix(graph, d, border, meth
     check(graph, d, border, method, devices=1)
 
 
-def test_two_devices_agree_with_the_dense_matrix():
-    code = "import jax; jax.config.update('jax_num_cpu_devices', 2); jax.config.update('jax_enable_x64', True)\n"
-    code += "from tests.test_reduced import CASES, check\n"
-    code += "[check(*case, devices=2) for case in (CASES[0], CASES[3], CASES[-1])]"
-    answer = subprocess.run([sys.executable, "-c", code], capture_output=True, text=True)
-    assert answer.returncode == 0, answer.stderr
+@pytest.mark.parametrize(("graph", "d", "border", "method"), (CASES[0], CASES[3], CASES[-1]))
+def test_two_devices_agree_with_the_dense_matrix(graph, d, border, method):
+    check(graph, d, border, method, devices=2)
 
 
 def test_a_factor_serves_several_right_hand_sides():

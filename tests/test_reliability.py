@@ -26,8 +26,6 @@ from jaxbundle.statistics.reliability import (
 )
 from jaxbundle.statistics.snooping import snoop
 
-pytestmark = [pytest.mark.thorough, pytest.mark.xdist_group("reliability")]
-
 DRAWS = 1000
 ONE_IN_A_MILLION = 1e-6
 
@@ -78,6 +76,7 @@ def binomial_limits(probability: float, draws: int = DRAWS) -> tuple[float, floa
     return low / draws, high / draws
 
 
+@pytest.mark.thorough
 def test_w_is_standard_normal(sample):
     w = np.asarray(sample[0])
     controlled = w.std(0) > 0.5
@@ -86,18 +85,21 @@ def test_w_is_standard_normal(sample):
         assert kstest(w[:, k[0], k[1]], "norm", method="asymp").pvalue > 1e-5
 
 
+@pytest.mark.thorough
 def test_global_test_rejects_at_its_level(sample, truth):
     rejected = np.asarray(sample[1]) > chi2.ppf(0.95, truth.redundancy)
     low, high = binomial_limits(0.05)
     assert low < rejected.mean() < high
 
 
+@pytest.mark.thorough
 def test_detectable_error_is_detected_with_its_power(sample):
     found = np.abs(np.asarray(sample[3])) > critical_w(LEVEL)
     low, high = binomial_limits(POWER)
     assert low < found.mean() < high
 
 
+@pytest.mark.thorough
 def test_no_clean_observation_is_suspected_in_95_of_100_blocks(sample, truth):
     """The largest |w| of a block against Sidak's limit: that is what snooping looks at first."""
     limit = critical_w(level_of_one(0.05, truth.observations))

@@ -23,8 +23,6 @@ from jaxbundle.report.group_tables import table_names
 from jaxbundle.solve.adjust import adjust
 from jaxbundle.solve.adjustment import Reweighting
 
-pytestmark = pytest.mark.xdist_group("surveyed")
-
 
 @pytest.fixture(scope="module")
 def adjustment(tmp_path_factory: pytest.TempPathFactory):

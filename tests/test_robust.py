@@ -11,8 +11,6 @@ from jaxbundle.solve import robust as solve_robust
 from jaxbundle.solve.adjust import adjust
 from jaxbundle.solve.weight_functions import WEIGHT_FUNCTIONS, Huber, Tukey
 
-pytestmark = pytest.mark.xdist_group("robust")  # its fixtures are dear: one worker makes them
-
 GROSS, SHARE = 50.0, 0.05  # sigmas; of the rays
 
 

@@ -8,8 +8,8 @@ import jax.numpy as jnp
 import numpy as np
 import pytest
 from dense import centred, dense_cofactors, dense_system, free_values
+from dense_steps import assert_dense_steps
 from point_clouds import CORRELATED, MODEL, STRIP, point_clouds
-from test_elimination import assert_dense_steps
 
 import jaxbundle as jb
 from jaxbundle.block.block import Block

@@ -6,9 +6,9 @@ import jax
 import jax.numpy as jnp
 import numpy as np
 import pytest
+from block_variants import BLOCKS
 from heterogeneous import PAIRS, case, drawn
 from simulated import small_block
-from test_elimination import BLOCKS, with_distances
 
 from jaxbundle.block.block import Block
 from jaxbundle.block.unknowns import unknowns_of
@@ -16,7 +16,7 @@ from jaxbundle.normals.cost import weighted_residuals
 from jaxbundle.normals.from_block import BlockVectors, ordered_vectors, problem, to_elimination_order
 from jaxbundle.normals.plan.elimination_plan import plan_elimination
 from jaxbundle.normals.plan.reduced_plan import Method
-from jaxbundle.normals.problem import NormalVector
+from jaxbundle.normals.problem import NormalVector, OrderedUnknowns, Problem
 from jaxbundle.normals.solve_normals import solve_normals
 from jaxbundle.numerics.compilation import QUICKLY
 from jaxbundle.solve.adjust import adjust
@@ -25,9 +25,26 @@ from jaxbundle.solve.implicit import moved, zero_vector
 compiled = partial(jax.jit, compiler_options=QUICKLY)
 
 
+def residuals(d: NormalVector, x: OrderedUnknowns, p: Problem) -> list[jax.Array]:
+    return weighted_residuals(moved(x, p, d), p)
+
+
+def cost(d: NormalVector, x: OrderedUnknowns, p: Problem) -> jax.Array:
+    return 0.5 * sum((jnp.sum(v * v) for v in residuals(d, x, p)), jnp.zeros(()))
+
+
+def hessian(x: OrderedUnknowns, p: Problem, d: NormalVector) -> NormalVector:
+    return jax.jvp(lambda e: jax.grad(cost)(e, x, p), (zero_vector(p),), (d,))[1]
+
+
+def normals(x: OrderedUnknowns, p: Problem, d: NormalVector) -> NormalVector:
+    _, along = jax.jvp(lambda e: residuals(e, x, p), (zero_vector(p),), (d,))
+    return jax.vjp(lambda e: residuals(e, x, p), zero_vector(p))[1](along)[0]
+
+
 def assert_solved(block: Block, devices: int, reduced: Method = "auto") -> None:
     """At the minimum of a block with errors of some sigmas, for a vector of the size of the standard deviations."""
-    result = adjust(block)
+    result = adjust(block, method="gauss-newton")
     block, sd, structure = result.block, result.standard_deviations, block.structure
     centres = np.asarray(block.exterior.projection_centre)
     plan = plan_elimination(structure, block.groups, centres, devices, reduced)
@@ -40,21 +57,8 @@ def assert_solved(block: Block, devices: int, reduced: Method = "auto") -> None:
     rng = np.random.default_rng(1)
     expected = jax.tree.map(lambda s: jnp.asarray(rng.standard_normal(s.shape[1:])) * s[0], scale)
 
-    def residuals(d: NormalVector) -> list[jax.Array]:
-        return weighted_residuals(moved(x, p, d), p)
-
-    def cost(d: NormalVector) -> jax.Array:
-        return 0.5 * sum((jnp.sum(v * v) for v in residuals(d)), jnp.zeros(()))
-
-    def hessian(d: NormalVector) -> NormalVector:
-        return jax.jvp(jax.grad(cost), (zero_vector(p),), (d,))[1]
-
-    def normals(d: NormalVector) -> NormalVector:
-        along = jax.jvp(residuals, (zero_vector(p),), (d,))[1]
-        return jax.vjp(residuals, zero_vector(p))[1](along)[0]
-
     for product, exact in ((hessian, True), (normals, False)):
-        right = jax.tree.map(lambda b: b[None], compiled(product)(expected))
+        right = jax.tree.map(lambda b: b[None], compiled(product)(x, p, expected))
         found = compiled(partial(solve_normals, exact=exact))(x, p, right)
         for d, known, s in zip(found, expected, scale, strict=True):
             np.testing.assert_allclose((d[0] - known) / np.where(s[0] == 0, 1.0, s[0]), 0.0, atol=1e-6)
@@ -76,4 +80,4 @@ def test_solution_by_conjugate_gradients(name):
 
 
 def test_solution_on_devices():
-    assert_solved(with_distances(small_block(noise=3.0).block), 4, "panels")
+    assert_solved(BLOCKS["shared camera"](small_block(noise=3.0).block), 4, "panels")

@@ -15,7 +15,6 @@ from jaxbundle.approximate.start import with_checked_start
 from jaxbundle.block.block import Block
 from jaxbundle.block.findings import Finding, Kind, Severity, Subject
 
-pytestmark = pytest.mark.xdist_group("start")
 DATA_SETS = (
     "strasbourg-s1-fixed",
     "strasbourg-s2-weighted",

@@ -18,8 +18,6 @@ from jaxbundle.statistics.reliability import redundancy_numbers, reliability
 from jaxbundle.statistics.selection import log_probability
 from jaxbundle.statistics.suspects import find_suspects, suspects
 
-pytestmark = pytest.mark.xdist_group("suspects")  # its fixtures are dear: one worker makes them
-
 
 @pytest.fixture(scope="module")
 def simulated() -> Simulated:

@@ -22,8 +22,6 @@ from jaxbundle.solve.adjust import adjust
 from jaxbundle.solve.adjustment import Status
 from jaxbundle.solve.levenberg_marquardt import FLAT, is_flat
 
-pytestmark = pytest.mark.xdist_group("verdict_of_solver")
-
 
 @pytest.fixture(scope="module")
 def degenerate(shared_data):

@@ -17,8 +17,6 @@ from jaxbundle.block.changes import with_findings
 from jaxbundle.block.depths import behind
 from jaxbundle.block.findings import Finding, Kind, Severity
 
-pytestmark = pytest.mark.xdist_group("strasbourg")  # one process compiles for the block
-
 SIGMA0 = 1.0744681852  # of the block that the mistakes are made in
 
 

@@ -132,7 +132,7 @@ def _curvature_sums(curvature: RayCurvature, m: int) -> tuple[Float[Array, "slot
     return jnp.pad(sums[:, place], ((0, 0), (0, m - k), (0, m - k))), jnp.concatenate(curvature.rotation, 1)
 
 
-def border_rows(e: Eliminated, p: Problem) -> Float[Array, "tile border 3n"]:
+def border_rows(e: Eliminated, p: Problem) -> Float[Array, "tile border column"]:
     """E_b of every tile: the rows of its rays summed by camera."""
     layout = p.layout
     rows = coupling_rows(e, layout.image, layout.shared)

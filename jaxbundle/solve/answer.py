@@ -47,7 +47,7 @@ class Ended(NamedTuple):
     unknowns are checked where no standard deviations are computed."""
 
     iterations: Iterations
-    origin: Float[Array, "3"]
+    origin: Float[Array | np.ndarray, "3"]
     options: Options
     precision: bool
     inspected: bool
@@ -155,12 +155,12 @@ def _adjusted(
     plan: EliminationPlan,
     arranged: OrderedUnknowns,
     angles: Float[Array, "3 image"],
-    origin: Float[Array, "3"],
+    origin: Float[Array | np.ndarray, "3"],
 ) -> Block:
     """The block with its adjusted values. What is held stays exactly as it was given: moving the origin rounds."""
     unknowns, structure = to_block_order(plan, arranged), block.structure
 
-    def chosen(free: np.ndarray, new: Array, old: Array) -> Array:
+    def chosen(free: np.ndarray, new: Array | np.ndarray, old: Array) -> Array:
         new, old = on_host(new), on_host(old)
         return on_device((np if is_concrete((new, old)) else jnp).where(free, new, old))
 
