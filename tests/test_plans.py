@@ -33,7 +33,7 @@ def count(monkeypatch: pytest.MonkeyPatch) -> list[int]:
 
 
 def shifted(block: Block) -> Block:
-    return eqx.tree_at(lambda b: b.object_points, block, block.object_points + 0.01)
+    return eqx.tree_at(lambda b: b.object_points, block, block.object_points + 0.01 * block.structure.point_free)
 
 
 @pytest.mark.parametrize("make", [lambda: small_block().block, lambda: free_block()], ids=["control", "minimal"])

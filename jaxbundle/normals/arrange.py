@@ -6,6 +6,7 @@ to them, so that the next block of similar size runs in the same program.
 """
 
 from dataclasses import dataclass
+from functools import cached_property
 from typing import Any, NamedTuple
 
 import equinox as eqx
@@ -74,6 +75,20 @@ class Arrangement:
     def places(self) -> int:
         """Columns of all tiles of all devices."""
         return self.devices * sum(part.tiling.tiles for part in self.parts) * self.shape.width
+
+    @cached_property
+    def cell_of_ray(self) -> Int[np.ndarray, " ray"]:
+        """Where every ray of the block stands among the cells of all parts, with the rays of kept points behind."""
+        place = np.full(sum(len(part.rays) for part in self.parts) + len(self.kept_rays), -1)
+        first = 0
+        for part in self.parts:
+            grid = part.tiling.ray.ravel()
+            cell = np.flatnonzero(grid >= 0)
+            place[part.rays[grid[cell]]] = first + cell
+            first += grid.size
+        place[self.kept_rays] = first + np.arange(len(self.kept_rays))
+        assert (place >= 0).all(), "a ray has no cell of its own"
+        return place
 
 
 class Arranged(NamedTuple):
@@ -259,20 +274,11 @@ def restored_unknowns(a: Arrangement, arranged: Arranged) -> Unknowns:
 
 def restored_rays(a: Arrangement, cells: list[Array], kept: list[Array]) -> Float[Array, "ray 2"]:
     """What belongs to the cells, two arrays a part, and to the rays of kept points, in the order of the block."""
-    place = np.full(sum(len(part.rays) for part in a.parts) + len(a.kept_rays), -1)
-    first = 0
-    for part in a.parts:
-        grid = part.tiling.ray.ravel()
-        cell = np.flatnonzero(grid >= 0)
-        place[part.rays[grid[cell]]] = first + cell
-        first += grid.size
-    place[a.kept_rays] = first + np.arange(len(a.kept_rays))
-    assert (place >= 0).all(), "a ray has no cell of its own"
     xp = np if is_concrete((cells, kept)) else jnp
     columns = []
     for k in range(2):
         parts = [*(on_host(x).ravel() for x in cells[k::2]), *(on_host(x) for x in kept[k : k + 1])]
-        columns.append(xp.concatenate(parts)[place])
+        columns.append(xp.concatenate(parts)[a.cell_of_ray])
     return on_device(xp.stack(columns, 1))
 
 
