@@ -218,7 +218,7 @@ def test_options_of_the_solve(run, folder, adjustment, monkeypatch, options, exp
     given = {}
     monkeypatch.setattr(adjusting, "adjust", lambda block, **options: given.update(options) or adjustment)
     assert run("adjust", folder, *options)[0] == 0
-    assert expected.items() <= given.items()
+    assert {name: getattr(given["options"], name) for name in expected} == expected
 
 
 @pytest.mark.parametrize(

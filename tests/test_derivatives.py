@@ -148,6 +148,20 @@ def test_second_derivatives():
     np.testing.assert_allclose(second, (8 * one - two) / 6, rtol=1e-5)
 
 
+def test_second_derivatives_of_the_precision_of_large_blocks_are_refused(monkeypatch):
+    monkeypatch.setattr(implicit_precision, "MOST_UNKNOWNS", 0)
+    start = jnp.zeros(len(LEAVES))
+
+    def scatter(t: Float[Array, " leaf"]) -> Array:
+        return adjusted(t)["sd of points"]
+
+    for second in (jax.hessian(scatter), jax.jacfwd(jax.jacfwd(scatter)), jax.grad(lambda t: jax.grad(scatter)(t)[0])):
+        with pytest.raises(ValueError, match=r"have no second derivatives: call adjust\(\.\.\., precision=False\)"):
+            jax.eval_shape(second, start)
+    jax.eval_shape(jax.jacrev(scatter), start)
+    jax.eval_shape(jax.hessian(lambda t: adjusted(t, False)["sigma0"]), start)
+
+
 def test_under_jit(forward):
     compiled = jax.jit(jax.grad(lambda t: adjusted(t, False)["sigma0"]))(jnp.zeros(len(LEAVES)))
     np.testing.assert_allclose(compiled, forward["sigma0"], rtol=1e-8)

@@ -5,6 +5,7 @@ What is found here makes every other look at the block meaningless, so nothing e
 
 from collections.abc import Iterator, Sequence
 from typing import Any
+from weakref import WeakSet
 
 import jax.numpy as jnp
 import numpy as np
@@ -25,6 +26,10 @@ NUMBERS = {
 }
 
 
+# structures that were looked at; their arrays are read-only
+_CONSISTENT: "WeakSet[Structure]" = WeakSet()
+
+
 def require_consistent(block: Block) -> None:
     """Raises BlockError with everything that keeps the parts of a block from fitting together."""
     problems = inconsistencies(block)
@@ -37,12 +42,16 @@ def inconsistencies(block: Block) -> list[Problem]:
     structure = block.structure
     if not isinstance(structure, Structure):
         return [Problem(f"the structure is {_type(structure)}, not a Structure", "build a jb.Structure")]
-    names = [*_names(structure)] or [*_descriptions(structure)] or [*_models(structure)]
+    known = structure in _CONSISTENT
+    names = [] if known else [*_names(structure)] or [*_descriptions(structure)] or [*_models(structure)]
     if names:
         return names  # without names and models there are no counts
-    found = [*_incidences(structure), *_masks(structure)]
+    found = [] if known else [*_incidences(structure), *_masks(structure)]
     found += [*_values(block), *_groups(block)]
-    return found or [*_interior(block), *_datum(structure)]
+    found = found or [*_interior(block), *_datum(structure)]
+    if not found:
+        _CONSISTENT.add(structure)
+    return found
 
 
 def _counts(s: Structure) -> dict[str, int]:

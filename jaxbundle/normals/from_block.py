@@ -73,19 +73,9 @@ def to_block_order(plan: EliminationPlan, ordered: OrderedUnknowns) -> Unknowns:
 def rays_to_block_order(plan: EliminationPlan, components: int, values: list[Array]) -> Float[Array, "ray component"]:
     """What belongs to the rays, one array per component and part for the cells, then one per component for the rays of
     border points, in the order of the block."""
-    border_rays = plan.border_rays
-    position = np.full(sum(len(part.rays) for part in plan.parts) + len(border_rays), -1)
-    first = 0
-    for part in plan.parts:
-        grid = part.tiling.ray.ravel()
-        cell = np.flatnonzero(grid >= 0)
-        position[part.rays[grid[cell]]] = first + cell
-        first += grid.size
-    position[border_rays] = first + np.arange(len(border_rays))
-    assert (position >= 0).all(), "a ray has no cell of its own"
     host = [on_host(x) for x in values]
     xp = np if is_concrete(host) else jnp
-    columns = [xp.concatenate([x.ravel() for x in host[k::components]])[position] for k in range(components)]
+    columns = [xp.concatenate([x.ravel() for x in host[k::components]])[plan.cell_of_ray] for k in range(components)]
     return on_device(xp.stack(columns, 1))
 
 

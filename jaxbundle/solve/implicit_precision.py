@@ -4,9 +4,9 @@ The engine computes them without the whole of Q; their derivatives come from the
 
     N = A^T A,    Q = N^-1,    h = diag(A Q A^T)        A: weighted residuals by autodiff, with respect to what is free
 
-in a form without loops, which has forward and transposed derivatives of any order: for blocks on one device, of
-MOST_UNKNOWNS at most. Others have derivatives of first order: forward through the engine, transposed by
-`cofactor_gradient`.
+in a form without loops, which has forward and transposed derivatives of any order: for blocks of MOST_UNKNOWNS at most.
+Others have derivatives of first order: forward through the engine, transposed by `cofactor_gradient`. Second ones raise
+an error.
 """
 
 from typing import NamedTuple
@@ -52,7 +52,7 @@ def with_derivatives(
 ) -> Cofactors:
     """The cofactors as functions of the unknowns and of the observations."""
     free = None
-    if structure.unknowns <= MOST_UNKNOWNS and p.devices == 1:
+    if structure.unknowns <= MOST_UNKNOWNS:
         images, points = len(structure.image_names), len(structure.point_names)
         shapes = (images, 6), structure.interior_free[:, list(structure.interior_columns)].shape
         ones = (np.ones((1, *shape)) for shape in (*shapes, structure.parameter_free.shape, (points, 3)))

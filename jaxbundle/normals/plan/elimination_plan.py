@@ -1,6 +1,7 @@
 """The plan of one block: images in the order of elimination, points in tiles, points that stand in the border."""
 
 from dataclasses import dataclass
+from functools import cached_property
 from typing import NamedTuple
 
 import numpy as np
@@ -63,6 +64,20 @@ class EliminationPlan:
     def tile_points(self) -> int:
         """Positions of points in the tiles of all devices, before those of the border points."""
         return self.devices * sum(part.tiling.tiles for part in self.parts) * self.layout.width
+
+    @cached_property
+    def cell_of_ray(self) -> Int[np.ndarray, " ray"]:
+        """Position of every ray of the block among the cells of all parts, with the rays of border points behind."""
+        position = np.full(sum(len(part.rays) for part in self.parts) + len(self.border_rays), -1)
+        first = 0
+        for part in self.parts:
+            grid = part.tiling.ray.ravel()
+            cell = np.flatnonzero(grid >= 0)
+            position[part.rays[grid[cell]]] = first + cell
+            first += grid.size
+        position[self.border_rays] = first + np.arange(len(self.border_rays))
+        assert (position >= 0).all(), "a ray has no cell of its own"
+        return position
 
     @property
     def border_points(self) -> Int[np.ndarray, " border_point"]:

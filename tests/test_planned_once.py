@@ -15,7 +15,7 @@ from jaxbundle.block.block import Block
 from jaxbundle.normals.plan import known_plans
 from jaxbundle.planning.simulate import simulate
 
-pytestmark = pytest.mark.xdist_group("plans")
+pytestmark = pytest.mark.xdist_group("planned_once")
 
 
 @pytest.fixture
