@@ -40,7 +40,7 @@ def gradients(block: Block, monkeypatch) -> list[tuple]:
 
     gradients = []
     for most in (0, 3000):
-        monkeypatch.setattr(implicit_precision, "MOST_UNKNOWNS", most)
+        monkeypatch.setattr(implicit_precision, "MAX_UNKNOWNS", most)
         value, back = eqx.filter_vjp(precision, given)
         weights = jax.tree.map(lambda q: jnp.cos(1.0 + jnp.arange(q.size)).reshape(q.shape), value)
         by_unknowns, by_problem = back(weights)[0]

@@ -95,7 +95,7 @@ def test_large_blocks_have_bounds(block, monkeypatch):
     usual = variance_components(block, tolerance=1e-4, precision=False)
     numbers = redundancy_numbers(usual.adjustment)
     monkeypatch.setattr(components, "redundancy_numbers", lambda adjustment: numbers)
-    monkeypatch.setattr(dense, "MOST_UNKNOWNS", 10)
+    monkeypatch.setattr(dense, "MAX_UNKNOWNS", 10)
     found = variance_components(block, tolerance=1e-2, precision=False)
     assert found.deviations_are_bounds and not usual.deviations_are_bounds
     assert "lower bounds" in found.summary()

@@ -71,6 +71,6 @@ def test_robust_weights_are_seen(block):
 def test_limits(block, monkeypatch):
     with pytest.raises(ValueError, match="leave some unknowns undetermined"):
         block_system(dataclasses.replace(block, groups=()))
-    monkeypatch.setattr(dense, "MOST_UNKNOWNS", 10)
+    monkeypatch.setattr(dense, "MAX_UNKNOWNS", 10)
     with pytest.raises(ValueError, match="of 10 unknowns at most; the block has 162"):
         block_system(block)

@@ -115,7 +115,7 @@ def test_reverse_mode_gives_the_same(forward):
 @pytest.mark.parametrize("devices", [pytest.param(1, marks=pytest.mark.thorough), 2])
 def test_precision_of_large_blocks_by_the_engine(forward, monkeypatch, devices):
     """Forward through the elimination and transposed by hand, as where the whole of Q would be too large."""
-    monkeypatch.setattr(implicit_precision, "MOST_UNKNOWNS", 0)
+    monkeypatch.setattr(implicit_precision, "MAX_UNKNOWNS", 0)
     of = partial(adjusted, devices=devices)
     backward = jax.jacrev(of)(jnp.zeros(len(LEAVES)))
     direction = jnp.cos(jnp.arange(len(LEAVES)))
@@ -149,7 +149,7 @@ def test_second_derivatives():
 
 
 def test_second_derivatives_of_the_precision_of_large_blocks_are_refused(monkeypatch):
-    monkeypatch.setattr(implicit_precision, "MOST_UNKNOWNS", 0)
+    monkeypatch.setattr(implicit_precision, "MAX_UNKNOWNS", 0)
     start = jnp.zeros(len(LEAVES))
 
     def scatter(t: Float[Array, " leaf"]) -> Array:

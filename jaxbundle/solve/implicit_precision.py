@@ -4,7 +4,7 @@ The engine computes them without the whole of Q; their derivatives come from the
 
     N = A^T A,    Q = N^-1,    h = diag(A Q A^T)        A: weighted residuals by autodiff, with respect to what is free
 
-in a form without loops, which has forward and transposed derivatives of any order: for blocks of MOST_UNKNOWNS at most.
+in a form without loops, which has forward and transposed derivatives of any order: for blocks of MAX_UNKNOWNS at most.
 Others have derivatives of first order: forward through the engine, transposed by `cofactor_gradient`. Second ones raise
 an error.
 """
@@ -19,6 +19,7 @@ from jax.flatten_util import ravel_pytree
 from jaxtyping import Array, Float, Int
 
 from jaxbundle.block.block import Structure
+from jaxbundle.block.design import MAX_UNKNOWNS
 from jaxbundle.normals.cofactor_gradient import CofactorWeights, cofactor_gradient
 from jaxbundle.normals.cofactors import Cofactors, cofactors
 from jaxbundle.normals.cost import weighted_residuals
@@ -30,9 +31,8 @@ from jaxbundle.numerics.host import on_device
 from jaxbundle.numerics.linear_map import linear_map
 from jaxbundle.solve.implicit import moved, zero_vector
 
-MOST_UNKNOWNS = 3000  # N of so many takes 72 MB
 SECOND = (
-    f"standard deviations and redundancy numbers of more than {MOST_UNKNOWNS} unknowns have no second derivatives: call"
+    f"standard deviations and redundancy numbers of more than {MAX_UNKNOWNS} unknowns have no second derivatives: call"
     " adjust(..., precision=False) for those of coordinates, orientations and sigma0, or adjust a smaller part of the"
     " block"
 )
@@ -52,7 +52,7 @@ def with_derivatives(
 ) -> Cofactors:
     """The cofactors as functions of the unknowns and of the observations."""
     free = None
-    if structure.unknowns <= MOST_UNKNOWNS:
+    if structure.unknowns <= MAX_UNKNOWNS:
         images, points = len(structure.image_names), len(structure.point_names)
         shapes = (images, 6), structure.interior_free[:, list(structure.interior_columns)].shape
         ones = (np.ones((1, *shape)) for shape in (*shapes, structure.parameter_free.shape, (points, 3)))

@@ -15,19 +15,25 @@ import equinox as eqx
 import jax
 import jax.numpy as jnp
 import jaxopt
-import numpy as np
 from jax import lax
 from jax.core import Tracer
 from jax.flatten_util import ravel_pytree
 from jax.scipy.linalg import solve_triangular
 from jaxtyping import Array, Bool, Float, Int
 
-from jaxbundle.block.residuals import Observations, weighted_residuals
-from jaxbundle.block.unknowns import Correction, Unknowns, corrected
+from jaxbundle.block.design import (
+    MAX_UNKNOWNS,
+    after_corrections,
+    design_columns,
+    free_numbers,
+    no_corrections,
+    residuals_after,
+)
+from jaxbundle.block.residuals import Observations
+from jaxbundle.block.unknowns import Unknowns
 from jaxbundle.solve.adjustment import Iterations, Status
 from jaxbundle.solve.stopping import AbstractStoppingRule, StepTaken
 
-MOST_UNKNOWNS = 3000  # a dense Jacobian of some 150 MB
 STEPS_A_ROUND = 10
 AT_REST = 1e-12  # of |v|: a round ends where its gradient or its step, in units of v, is that small
 
@@ -61,11 +67,10 @@ def solve(unknowns: Unknowns, args: Arguments, method: str, max_iterations: int)
     if any(isinstance(leaf, Tracer) for leaf in jax.tree.leaves((unknowns, args))):
         raise ValueError('engine "jaxopt" works outside of jit, grad and vmap; there take engine "block"')
     o = args.observations
-    masks = o.exterior_free, o.interior_free, o.parameter_free, o.point_free
-    free = jnp.asarray(np.flatnonzero(np.concatenate([np.ravel(mask) for mask in masks])))
-    if len(free) > MOST_UNKNOWNS:
+    free = jnp.asarray(free_numbers(o))
+    if len(free) > MAX_UNKNOWNS:
         raise ValueError(
-            f'engine "jaxopt" keeps a dense Jacobian and takes {MOST_UNKNOWNS} unknowns at most, the block has'
+            f'engine "jaxopt" keeps a dense Jacobian and takes {MAX_UNKNOWNS} unknowns at most, the block has'
             f' {len(free)}; take engine "block"'
         )
     initial, status, trials, accepted = _cost(unknowns, o), Status.MAXIMUM_ITERATIONS, 0, 0
@@ -90,7 +95,7 @@ def solve(unknowns: Unknowns, args: Arguments, method: str, max_iterations: int)
 
 
 def _residuals(unknowns: Unknowns, observations: Observations) -> Float[Array, " observation"]:
-    return jnp.concatenate([v.ravel() for v in weighted_residuals(unknowns, observations)])
+    return residuals_after(unknowns, observations)(no_corrections(observations))
 
 
 @eqx.filter_jit
@@ -101,11 +106,8 @@ def _cost(unknowns: Unknowns, observations: Observations) -> Float[Array, ""]:
 @eqx.filter_jit
 def _moved(unknowns: Unknowns, o: Observations, free: Int[Array, " free"], d: Float[Array, " free"]) -> Unknowns:
     """The unknowns after a correction of the free elements."""
-    masks = o.exterior_free, o.interior_free, o.parameter_free, o.point_free
-    flat, unflatten = ravel_pytree(tuple(jnp.zeros(mask.shape) for mask in masks))
-    exterior, by_column, parameters, points = unflatten(flat.at[free].set(d))
-    interior = jnp.zeros_like(unknowns.interior).at[np.array(o.columns, int)].set(by_column)
-    return corrected(unknowns, Correction(exterior, interior, parameters, points), o.in_angles, o.system)
+    flat, corrections = ravel_pytree(no_corrections(o))
+    return after_corrections(unknowns, o, corrections(flat.at[free].set(d)))
 
 
 @eqx.filter_jit
@@ -148,11 +150,7 @@ def _full_step(unknowns: Unknowns, args: Arguments, free: Int[Array, " free"]) -
     """The Gauss-Newton step by QR of the dense design matrix."""
     o, rule = args.observations, args.rule
 
-    def residuals(d: Float[Array, " free"]) -> Float[Array, " observation"]:
-        return _residuals(_moved(unknowns, o, free, d), o)
-
-    zero = jnp.zeros(free.shape)
-    v, design = residuals(zero), jax.jacfwd(residuals)(zero)
+    v, design = _residuals(unknowns, o), design_columns(unknowns, o, free[None]).T
     length = jnp.linalg.norm(design, axis=0)
     scale = jnp.where(length > 0, length, 1.0)
     q, r = jnp.linalg.qr(design / scale)

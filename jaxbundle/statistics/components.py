@@ -311,7 +311,7 @@ def _deviations(adjustment: Adjustment, groups: Sequence[Subset], free: Free) ->
     S_ii is at most r_i and a diagonal element of S^-1 at least 1 / S_ii.
     """
     deviations = np.full(len(groups), np.nan)
-    if adjustment.unknowns > dense.MOST_UNKNOWNS:
+    if adjustment.unknowns > dense.MAX_UNKNOWNS:
         deviations[free] = np.sqrt(2 / _redundancy(adjustment, groups)[free])
         return deviations, True
     matrix = helmert_system(dense.dense_system(adjustment), groups).matrix[np.ix_(free, free)]

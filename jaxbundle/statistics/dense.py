@@ -13,16 +13,15 @@ import numpy as np
 from jaxtyping import Array, Bool, Float, Int
 
 from jaxbundle.block.block import Block, Structure
+from jaxbundle.block.design import MAX_UNKNOWNS, design_columns, elements, free_elements
 from jaxbundle.block.residuals import Observations, observations_of
 from jaxbundle.block.unknowns import Unknowns, angle_derivatives, unknowns_of
 from jaxbundle.normals.cholesky import inverse_factor
 from jaxbundle.numerics.compilation import Compiled
 from jaxbundle.numerics.host import on_device
 from jaxbundle.solve.adjustment import Adjustment
-from jaxbundle.statistics.design import design_columns, elements, free_elements
 from jaxbundle.statistics.subsets import Subset
 
-MOST_UNKNOWNS = 3000  # A of 10 000 observations takes 240 MB
 UNKNOWNS_FOR_OPTIMISATION = 500  # below, the design matrix takes less time than optimising its program
 LEAST_PIVOT = 1e-11  # of a column of A: as in the search for undetermined unknowns, below rounding decides
 
@@ -97,9 +96,9 @@ def dense_system(adjustment: Adjustment) -> DenseSystem:
 def block_system(block: Block) -> DenseSystem:
     """The system at the values of a block whose datum is chosen; raises as `dense_system`."""
     structure = block.structure
-    if structure.unknowns > MOST_UNKNOWNS:
+    if structure.unknowns > MAX_UNKNOWNS:
         raise ValueError(
-            f"this needs the whole cofactor matrix, of {MOST_UNKNOWNS} unknowns at most; the block has"
+            f"this needs the whole cofactor matrix, of {MAX_UNKNOWNS} unknowns at most; the block has"
             f" {structure.unknowns}"
         )
     centred = block.moved(-np.asarray(block.exterior.projection_centre).mean(0))

@@ -25,6 +25,7 @@ from jaxtyping import Array, Float, Int
 
 from jaxbundle.block.block import Block
 from jaxbundle.block.datum import with_datum
+from jaxbundle.block.design import Corrections, design_columns, free_elements, no_corrections, residuals_after
 from jaxbundle.block.residuals import Observations, observations_of
 from jaxbundle.block.unknowns import Unknowns, unknowns_of
 from jaxbundle.normals.from_block import BlockVectors, ordered_vectors, problem, to_elimination_order
@@ -34,7 +35,6 @@ from jaxbundle.normals.solve_normals import solve_normals
 from jaxbundle.numerics.compilation import RAYS_FOR_OPTIMISATION, Compiled
 from jaxbundle.numerics.host import on_device
 from jaxbundle.numerics.shapes import grid_size
-from jaxbundle.statistics.design import Corrections, design_columns, free_elements, no_corrections, residuals_after
 
 MOST_DENSE = 1500  # unknowns: up to here the whole design matrix takes less time than a solution for each column
 DETERMINED = 1e-11  # diagonal of R, columns of A of length 1: what is less is rounding

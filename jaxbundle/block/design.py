@@ -1,4 +1,4 @@
-"""Residuals as a function of the corrections of all unknowns: what the design matrix, whole or transposed, is made of.
+"""The design matrix of a whole block, dense: residuals as a function of the corrections of all unknowns, by autodiff.
 
 Observations follow the tables of an adjustment, row by row: the rays first, then every group.
 """
@@ -16,6 +16,7 @@ from jaxbundle.block.residuals import Observations, weighted_residuals
 from jaxbundle.block.unknowns import Correction, Unknowns, corrected
 
 COLUMNS_AT_ONCE = 32
+MAX_UNKNOWNS = 3000  # of a dense design matrix: with 10 000 observations it takes 240 MB, its normal matrix 72 MB
 
 
 class Corrections(NamedTuple):
@@ -37,14 +38,19 @@ def no_corrections(o: Observations) -> Corrections:
     return Corrections(*(jnp.zeros(mask.shape) for mask in free_masks(o)))
 
 
+def after_corrections(unknowns: Unknowns, o: Observations, corrections: Corrections) -> Unknowns:
+    """The unknowns after corrections; what is fixed may be corrected too."""
+    interior = jnp.zeros_like(unknowns.interior).at[np.array(o.columns, int)].set(corrections.interior)
+    correction = Correction(corrections.exterior, interior, corrections.parameters, corrections.points)
+    return corrected(unknowns, correction, o.in_angles, o.system)
+
+
 def residuals_after(unknowns: Unknowns, o: Observations) -> Callable[[Corrections], Float[Array, " observation"]]:
-    """Residuals over their sigmas as a function of the corrections; what is held may be corrected too."""
+    """Residuals over their sigmas as a function of the corrections."""
 
     def residuals(corrections: Corrections) -> Float[Array, " observation"]:
-        interior = jnp.zeros_like(unknowns.interior).at[np.array(o.columns, int)].set(corrections.interior)
-        correction = Correction(corrections.exterior, interior, corrections.parameters, corrections.points)
-        moved = corrected(unknowns, correction, o.in_angles, o.system)
-        return jnp.concatenate([v.T.ravel() for v in weighted_residuals(moved, o)])
+        after = after_corrections(unknowns, o, corrections)
+        return jnp.concatenate([v.T.ravel() for v in weighted_residuals(after, o)])
 
     return residuals
 
@@ -61,9 +67,14 @@ class FreeElements(NamedTuple):
     number: int
 
 
+def free_numbers(o: Observations) -> Int[np.ndarray, " free"]:
+    """Numbers of the free elements among all elements."""
+    return np.flatnonzero(np.concatenate([np.ravel(mask) for mask in free_masks(o)]))
+
+
 def free_elements(o: Observations) -> FreeElements:
     """The columns of the design matrix among all elements."""
-    free = np.flatnonzero(np.concatenate([np.ravel(mask) for mask in free_masks(o)]))
+    free = free_numbers(o)
     padded = np.full(-(-len(free) // COLUMNS_AT_ONCE) * COLUMNS_AT_ONCE, elements(o))
     padded[: len(free)] = free
     return FreeElements(padded.reshape(-1, COLUMNS_AT_ONCE), len(free))
