@@ -5,14 +5,17 @@ import gc
 import weakref
 
 import equinox as eqx
+import jax
 import jax.numpy as jnp
 import numpy as np
 import pytest
+from jaxtyping import Array
 from simulated import small_block
 
 import jaxbundle as jb
 from jaxbundle.block.block import Block
 from jaxbundle.normals import plans
+from jaxbundle.numerics.host import is_concrete
 from jaxbundle.planning.simulate import simulate
 
 pytestmark = pytest.mark.xdist_group("planned_once")
@@ -61,6 +64,19 @@ def test_robust_rounds_and_statistics_plan_nothing_again(count: list[int]):
     assert result.reweighting is not None and result.reweighting.rounds > 2
     jb.covariance_of(result, lambda b: b.object_points[3])
     jb.variance_components(block, tolerance=0.1)
+    assert count == [1]
+
+
+def test_a_plan_made_under_tracing_serves_outside(count: list[int]):
+    block = jb.with_datum(small_block().block)
+
+    def sigma0(xy: Array) -> Array:
+        return jb.adjust(eqx.tree_at(lambda b: b.rays.coordinates, block, xy), precision=False).sigma0
+
+    jax.eval_shape(sigma0, block.rays.coordinates)
+    plan = plans._PLANS[block.structure][0].plan
+    assert is_concrete(plan.reduced) and all(is_concrete(part.products) for part in plan.parts)
+    jb.adjust(block, precision=False)
     assert count == [1]
 
 

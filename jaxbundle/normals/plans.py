@@ -7,6 +7,7 @@ Approximate projection centres are only a hint for the order of the points, so a
 from typing import NamedTuple
 from weakref import WeakKeyDictionary, ref
 
+import jax
 import numpy as np
 from jaxtyping import Float
 
@@ -56,7 +57,8 @@ def planned(
         if entry.serves(groups, devices, solver, direct):
             known.insert(0, known.pop(k))
             return entry.plan
-    plan = arrange(structure, groups, centres, devices, solver, direct)
+    with jax.ensure_compile_time_eval():  # a plan outlives the tracing that it is made in: its arrays are numbers
+        plan = arrange(structure, groups, centres, devices, solver, direct)
     known.insert(0, _Planned(tuple(ref(group.structure) for group in groups), devices, solver, direct, plan))
     del known[REMEMBERED:]
     return plan
