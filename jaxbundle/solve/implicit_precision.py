@@ -50,16 +50,19 @@ def with_derivatives(
     found: Cofactors, x: Arranged, p: Problem, plan: Arrangement, structure: Structure, optimised: bool
 ) -> Cofactors:
     """The cofactors as functions of the unknowns and of the observations."""
-    free = None
-    if structure.unknowns <= MOST_UNKNOWNS:
-        images, points = len(structure.image_names), len(structure.point_names)
-        shapes = (images, 6), structure.interior_free[:, list(structure.interior_columns)].shape
-        ones = (np.ones((1, *shape)) for shape in (*shapes, structure.parameter_free.shape, (points, 3)))
-        masks = arranged_vectors(plan, structure, *ones)
-        free = on_device(np.flatnonzero(np.concatenate([np.ravel(mask) for mask in masks])))
+    free = free_places(plan, structure) if structure.unknowns <= MOST_UNKNOWNS else None
     given = Precision(found.images, found.border, found.points, found.leverages)
     q = _precision(given, x, p, free, optimised)
     return found._replace(images=q.images, border=q.border, points=q.points, leverages=q.leverages)
+
+
+def free_places(plan: Arrangement, structure: Structure) -> Int[Array, " free"]:
+    """Where the free unknowns stand in a vector of all places of the elimination."""
+    images, points = len(structure.image_names), len(structure.point_names)
+    shapes = (images, 6), structure.interior_free[:, list(structure.interior_columns)].shape
+    ones = (np.ones((1, *shape)) for shape in (*shapes, structure.parameter_free.shape, (points, 3)))
+    masks = arranged_vectors(plan, structure, *ones)
+    return on_device(np.flatnonzero(np.concatenate([np.ravel(mask) for mask in masks])))
 
 
 @eqx.filter_custom_jvp
