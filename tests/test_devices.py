@@ -1,5 +1,6 @@
 """The points dealt to one, two and four devices: the same answer."""
 
+import dataclasses
 from collections.abc import Callable
 
 import jax
@@ -7,11 +8,19 @@ import jax.numpy as jnp
 import numpy as np
 import pytest
 from block_variants import with_distances, with_private_cameras
+from jaxtyping import Array
 from one_step import step
 from simulated import long_block, small_block
 
 from jaxbundle.block.block import Block
+from jaxbundle.block.datum import with_datum
+from jaxbundle.block.unknowns import unknowns_of
+from jaxbundle.normals.from_block import problem, to_elimination_order
+from jaxbundle.normals.plan.elimination_plan import plan_elimination
+from jaxbundle.normals.problem import OrderedUnknowns
+from jaxbundle.planning.simulate import simulate
 from jaxbundle.solve.adjust import adjust
+from jaxbundle.solve.implicit_precision import _dense, free_places
 
 
 @pytest.mark.parametrize("make", [with_distances, with_private_cameras], ids=["shared camera", "private cameras"])
@@ -36,6 +45,37 @@ def test_the_adjustment_is_the_same() -> None:
         np.testing.assert_allclose(a, b, rtol=1e-9)
     off = np.abs(four.block.object_points - one.block.object_points)
     assert np.all(off <= 1e-6 * np.maximum(sd.object_points, 1e-9))
+
+
+def held_angle(block: Block) -> Block:
+    """One angle of an image is held, so that this image is corrected in the user's angles."""
+    free = block.structure.exterior_free.copy()
+    free[0, 4] = False
+    return with_datum(dataclasses.replace(block, structure=dataclasses.replace(block.structure, exterior_free=free)))
+
+
+def sums_of_cofactors(block: Block, devices: int) -> tuple[list[float], list[float]]:
+    """Sums of cofactors and leverages by the whole matrix, and their derivatives where all unknowns change alike."""
+    block = block.moved(-np.mean(np.asarray(block.exterior.projection_centre), 0))
+    structure = block.structure
+    plan = plan_elimination(structure, block.groups, None, devices, "panels")
+    x, p = to_elimination_order(plan, unknowns_of(block)), problem(plan, block)
+    free = free_places(plan, structure)
+    moved = jax.tree.map(jnp.ones_like, x)
+
+    def sums(x: OrderedUnknowns) -> list[Array]:
+        return [jnp.sum(part) for part in jax.tree.leaves(_dense(x, p, free, optimised=False))]
+
+    found = jax.jit(lambda x: jax.jvp(sums, (x,), (moved,)))(x)
+    values, derivatives = ([float(number) for number in numbers] for numbers in found)
+    return [*values[:3], sum(values[3:])], [*derivatives[:3], sum(derivatives[3:])]
+
+
+def test_derivatives_of_the_whole_cofactor_matrix_are_the_same() -> None:
+    block = held_angle(simulate(1, 3, points_per_image=8, seed=3).block)
+    for one, two in zip(sums_of_cofactors(block, 1), sums_of_cofactors(block, 2), strict=True):
+        assert np.isfinite(two).all() and np.abs(one).max() > 0
+        np.testing.assert_allclose(two, one, rtol=1e-8, atol=1e-10 * np.abs(one).max())
 
 
 @pytest.mark.parametrize("devices", [-1, 5])

@@ -2,7 +2,6 @@
 
 import dataclasses
 import inspect
-from typing import Any
 
 import equinox as eqx
 import jax
@@ -19,7 +18,7 @@ from jaxbundle.solve.options import Choices
 from jaxbundle.statistics import components, snooping
 
 pytestmark = pytest.mark.xdist_group("options")
-ALL = {  # every option, none of them as by default
+ALL: Choices = {  # every option, none of them as by default
     "method": "gauss-newton",
     "stop": jb.PointRule(1e-5),
     "max_iterations": 40,
@@ -91,8 +90,8 @@ def test_snooping_keeps_them(block: jb.Block, given: list[jb.Options]):
     rays = np.array(block.rays.coordinates)
     rays[40] += 40 * np.asarray(block.rays.sigmas)[40]
     spoilt = eqx.tree_at(lambda b: b.rays.coordinates, block, jnp.asarray(rays))
-    wanted: dict[str, Any] = {**ALL, "stop": jb.unknown_rule(spoilt, 1e-6, ("1_01", "X0"))}
-    start = jb.adjust(spoilt, **wanted)
+    rule = jb.unknown_rule(spoilt, 1e-6, ("1_01", "X0"))
+    start = jb.adjust(spoilt, dataclasses.replace(jb.Options(**ALL), stop=rule))
     found = jb.snoop(start)
     assert found.removed and len(given) == len(found.removed)
     assert all(eqx.tree_equal(options, start.options) for options in given)

@@ -5,9 +5,11 @@ import gc
 import weakref
 
 import equinox as eqx
+import jax
 import jax.numpy as jnp
 import numpy as np
 import pytest
+from jaxtyping import Array
 from simulated import small_block
 
 import jaxbundle as jb
@@ -61,6 +63,20 @@ def test_robust_rounds_and_statistics_plan_nothing_again(count: list[int]):
     assert result.reweighting is not None and result.reweighting.rounds > 2
     jb.covariance_of(result, lambda b: b.object_points[3])
     jb.variance_components(block, tolerance=0.1)
+    assert count == [1]
+
+
+def test_a_plan_made_under_tracing_serves_outside(count: list[int]):
+    block = jb.with_datum(small_block().block)
+
+    def sigma0(xy: Array) -> Array:
+        return jb.adjust(eqx.tree_at(lambda b: b.rays.coordinates, block, xy), precision=False).sigma0
+
+    jax.eval_shape(sigma0, block.rays.coordinates)
+    plan = known_plans._PLANS[block.structure][0].plan
+    lists = plan.reduced.panels, [part.pairs for part in plan.parts]
+    assert all(isinstance(leaf, np.ndarray) for leaf in jax.tree.leaves(lists))
+    jb.adjust(block, precision=False)
     assert count == [1]
 
 

@@ -19,6 +19,7 @@ from jaxbundle.normals.plan.reduced_plan import Method
 from jaxbundle.normals.problem import NormalVector, OrderedUnknowns, Problem
 from jaxbundle.normals.solve_normals import solve_normals
 from jaxbundle.numerics.compilation import QUICKLY
+from jaxbundle.numerics.host import on_device
 from jaxbundle.solve.adjust import adjust
 from jaxbundle.solve.implicit import moved, zero_vector
 
@@ -53,7 +54,9 @@ def assert_solved(block: Block, devices: int, reduced: Method = "auto") -> None:
     interior = np.asarray(sd.interior)[None, :, list(structure.interior_columns)]
     exterior = np.hstack([sd.projection_centre, sd.angles])[None]
     parameters, points = np.asarray(sd.parameters)[None], np.asarray(sd.object_points)[None]
-    scale = ordered_vectors(plan, structure, BlockVectors(exterior, interior, parameters, points))
+    scale = jax.tree.map(
+        on_device, ordered_vectors(plan, structure, BlockVectors(exterior, interior, parameters, points))
+    )
     rng = np.random.default_rng(1)
     expected = jax.tree.map(lambda s: jnp.asarray(rng.standard_normal(s.shape[1:])) * s[0], scale)
 

@@ -88,8 +88,8 @@ class BlockVectors(NamedTuple):
     object_points: Float[np.ndarray, "vector point 3"]
 
 
-def ordered_vectors(plan: EliminationPlan, structure: Structure, vectors: BlockVectors) -> NormalVector:
-    """Vectors of the block in the order of elimination; 0 for what is fixed."""
+def ordered_vectors(plan: EliminationPlan, structure: Structure, vectors: BlockVectors) -> Any:
+    """A `NormalVector` of numpy arrays: vectors of the block in the order of elimination; 0 for what is fixed."""
     o, layout, count = plan.order, plan.layout, len(vectors.exterior)
     interior = vectors.interior * structure.interior_free[:, list(structure.interior_columns)]
     images, border = np.zeros((count, o.images, layout.image)), np.zeros((count, layout.border))
@@ -104,7 +104,7 @@ def ordered_vectors(plan: EliminationPlan, structure: Structure, vectors: BlockV
     points[:, :, o.point] = (vectors.object_points * structure.point_free).transpose(0, 2, 1)
     border[:, layout.first_point :] = points[:, :, plan.tile_points :].transpose(0, 2, 1).reshape(count, -1)
     tiles = points[:, :, : plan.tile_points].reshape(count, 3, -1, layout.width)
-    return NormalVector(*map(on_device, (images, border, tiles)))
+    return NormalVector(images, border, tiles)
 
 
 def spread(values: Any, index: Int[np.ndarray, " entity"], size: int, filling: bool | float | np.ndarray) -> Any:

@@ -51,16 +51,19 @@ def with_derivatives(
     found: Cofactors, x: OrderedUnknowns, p: Problem, plan: EliminationPlan, structure: Structure, optimised: bool
 ) -> Cofactors:
     """The cofactors as functions of the unknowns and of the observations."""
-    free = None
-    if structure.unknowns <= MAX_UNKNOWNS:
-        images, points = len(structure.image_names), len(structure.point_names)
-        shapes = (images, 6), structure.interior_free[:, list(structure.interior_columns)].shape
-        ones = (np.ones((1, *shape)) for shape in (*shapes, structure.parameter_free.shape, (points, 3)))
-        masks = ordered_vectors(plan, structure, BlockVectors(*ones))
-        free = on_device(np.flatnonzero(np.concatenate([np.ravel(mask) for mask in masks])))
+    free = free_places(plan, structure) if structure.unknowns <= MAX_UNKNOWNS else None
     given = Precision(found.images, found.border, found.points, found.leverages)
     q = _precision(given, x, p, free, optimised)
     return found._replace(images=q.images, border=q.border, points=q.points, leverages=q.leverages)
+
+
+def free_places(plan: EliminationPlan, structure: Structure) -> Int[Array, " free"]:
+    """Where the free unknowns stand in a vector of all places of the elimination."""
+    images, points = len(structure.image_names), len(structure.point_names)
+    shapes = (images, 6), structure.interior_free[:, list(structure.interior_columns)].shape
+    ones = (np.ones((1, *shape)) for shape in (*shapes, structure.parameter_free.shape, (points, 3)))
+    masks = ordered_vectors(plan, structure, BlockVectors(*ones))
+    return on_device(np.flatnonzero(np.concatenate([np.ravel(mask) for mask in masks])))
 
 
 @eqx.filter_custom_jvp

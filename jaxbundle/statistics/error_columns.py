@@ -119,7 +119,7 @@ def _explained_by_elimination(
     centres = np.asarray(block.exterior.projection_centre)
     plan = planned(block.structure, block.groups, centres, 1)
     padded = [np.pad(x, [(0, grid_size(len(x)) - len(x)), *[(0, 0)] * (x.ndim - 1)]) for x in products]
-    rows = ordered_vectors(plan, block.structure, BlockVectors(*padded))
+    rows = jax.tree.map(on_device, ordered_vectors(plan, block.structure, BlockVectors(*padded)))
     optimised = len(block.structure.ray_image) >= RAYS_FOR_OPTIMISATION
     found = _explained(to_elimination_order(plan, unknowns), problem(plan, centred), rows, optimised=optimised)
     count = len(products[0])

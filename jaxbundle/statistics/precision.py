@@ -157,7 +157,7 @@ def _arranged_rows(plan: EliminationPlan, block: Block, derivatives: Any) -> Nor
         np.asarray(derivatives.parameters),
         np.asarray(derivatives.object_points),
     )
-    return ordered_vectors(plan, structure, rows)
+    return jax.tree.map(on_device, ordered_vectors(plan, structure, rows))
 
 
 def error_ellipsoids(adjustment: Adjustment) -> Ellipsoids:
