@@ -88,7 +88,7 @@ class BlockVectors(NamedTuple):
     object_points: Float[np.ndarray, "vector point 3"]
 
 
-def ordered_vectors(plan: EliminationPlan, structure: Structure, vectors: BlockVectors) -> Any:
+def ordered_vectors(plan: EliminationPlan, structure: Structure, vectors: BlockVectors) -> NormalVector:
     """A `NormalVector` of numpy arrays: vectors of the block in the order of elimination; 0 for what is fixed."""
     o, layout, count = plan.order, plan.layout, len(vectors.exterior)
     interior = vectors.interior * structure.interior_free[:, list(structure.interior_columns)]

@@ -41,9 +41,9 @@ class OrderedUnknowns(NamedTuple):
 class NormalVector(NamedTuple):
     """A vector of all unknowns in the order of elimination, or several with a leading axis; 0 for fixed ones."""
 
-    images: Float[Array, "*vector image d"]
-    border: Float[Array, "*vector border"]
-    tiles: Float[Array, "*vector 3 tile column"]
+    images: Float[Any, "*vector image d"]
+    border: Float[Any, "*vector border"]
+    tiles: Float[Any, "*vector 3 tile column"]
 
 
 class ReducedVector(NamedTuple):
