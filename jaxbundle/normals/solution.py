@@ -50,6 +50,25 @@ def solve_normals(unknowns: Arranged, p: Problem, right: NormalVector, exact: bo
     )(unknowns, linear, p, free, right)
 
 
+def normal_products(unknowns: Arranged, p: Problem, b: NormalVector) -> Float[Array, "vector vector"]:
+    """b^T N^-1 b of all pairs of vectors of the leading axis, on one device: no vector is substituted back.
+
+    b^T N^-1 b = r^T S^-1 r + b_X^T V^-1 b_X,    r = b_t - W V^-1 b_X
+    """
+    factorised = _factorised(unknowns, linearise(unknowns, p, False), p, p.free_tiles, None, False)
+
+    def forward_solution(b: NormalVector) -> tuple[KeptVector, KeptVector, Float[Array, "3 tile column"]]:
+        u = factorised.eliminated(b.tiles)
+        r = factorised.condensed(b, u)
+        return r, factorised.reduced_solution(r), u
+
+    r, t, u = lax.map(forward_solution, b)
+    pairs = (r.images, t.images), (r.border, t.border), (b.tiles, u)
+    parts = [jnp.einsum("fa,ga->fg", *(x.reshape(len(x), -1) for x in pair)) for pair in pairs]
+    products = parts[0] + parts[1] + parts[2]
+    return (products + products.T) / 2
+
+
 class _Factorised(NamedTuple):
     """The equations as one device has them; `axis` names the devices, None for a single one."""
 
@@ -66,21 +85,26 @@ class _Factorised(NamedTuple):
         """The solution for one right-hand side."""
         p, tiles, points = self.problem, local_tiles(self.problem.tiles), self.unknowns.tiles
         o = p.observations
-        rows = to_images(o, self.values, points, self._eliminated(b.tiles), tiles, self.exact)
-        coupled = kept_rows(lax.psum(rows, self.axis) if self.axis else rows, self.turns, p)
-        t = self._reduced(KeptVector(b.images - coupled.images, b.border - coupled.border))
+        t = self.reduced_solution(self.condensed(b, self.eliminated(b.tiles)))
         direction = image_values(direction_of(correction_of(t.images, t.border, p, self.unknowns), self.turns), o)
         at_points = to_points(o, self.values, direction, points, tiles, self.exact)
-        return NormalVector(t.images, t.border, self._eliminated(b.tiles - at_points))
+        return NormalVector(t.images, t.border, self.eliminated(b.tiles - at_points))
 
-    def _reduced(self, right: KeptVector) -> KeptVector:
+    def condensed(self, b: NormalVector, u: Float[Array, "3 tile column"]) -> KeptVector:
+        """b_t - W u."""
+        p, tiles = self.problem, local_tiles(self.problem.tiles)
+        rows = to_images(p.observations, self.values, self.unknowns.tiles, u, tiles, self.exact)
+        coupled = kept_rows(lax.psum(rows, self.axis) if self.axis else rows, self.turns, p)
+        return KeptVector(b.images - coupled.images, b.border - coupled.border)
+
+    def reduced_solution(self, right: KeptVector) -> KeptVector:
         """S^-1 r."""
         if isinstance(self.reduced, ImplicitEquations):
             return self.reduced.solve(right)
         images, border = solve(self.problem.reduced, self.reduced, right.images[..., None], right.border[:, None])
         return KeptVector(images[..., 0], border[:, 0])
 
-    def _eliminated(self, b: Float[Array, "3 tile column"]) -> Float[Array, "3 tile column"]:
+    def eliminated(self, b: Float[Array, "3 tile column"]) -> Float[Array, "3 tile column"]:
         """V^-1 b."""
         return jnp.stack(backward(self.points, forward(self.points, (b[0], b[1], b[2]))))
 

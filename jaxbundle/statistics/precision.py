@@ -18,7 +18,7 @@ from jaxbundle.block.datum import with_datum
 from jaxbundle.block.given import require_a
 from jaxbundle.block.unknowns import angle_derivatives, unknowns_of
 from jaxbundle.normals.arrange import Arranged, Arrangement, Problem, arrange, arranged_unknowns, problem
-from jaxbundle.normals.solution import solve_normals
+from jaxbundle.normals.solution import normal_products
 from jaxbundle.normals.vector import NormalVector, arranged_vectors
 from jaxbundle.numerics.compilation import RAYS_FOR_OPTIMISATION, Compiled
 from jaxbundle.numerics.host import on_device
@@ -137,10 +137,7 @@ def _cofactors(
     """F Q F^T."""
     if carrying is not None:
         rows = with_inner_constraints(unknowns, p, carrying, constraints, rows)
-    q = solve_normals(unknowns, p, rows)
-    products = [jnp.einsum("fa,ga->fg", *(x.reshape(len(x), -1) for x in pair)) for pair in zip(rows, q, strict=True)]
-    found = sum(products[1:], products[0])
-    return (found + found.T) / 2
+    return normal_products(unknowns, p, rows)
 
 
 def _arranged_rows(plan: Arrangement, block: Block, derivatives: Any) -> NormalVector:
