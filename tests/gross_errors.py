@@ -14,21 +14,25 @@ from jaxbundle.block.block import Structure as BlockStructure
 from jaxbundle.block.findings import Subject
 from jaxbundle.block.geodetic import DISTANCES
 from jaxbundle.camera.brown import DISTORTION_FREE
+from jaxbundle.diagnosis.after_failure import causes
 from jaxbundle.geometry.rotation import OMEGA_PHI_KAPPA
 from jaxbundle.numerics.host import on_device
 from jaxbundle.planning.flight import AerialCamera
 from jaxbundle.planning.simulate import exact_coordinates, simulate
 from jaxbundle.solve.adjust import adjust
 from jaxbundle.solve.adjustment import Adjustment, Status
+from jaxbundle.solve.verdict import BEYOND_USE
 from jaxbundle.statistics.error_columns import FIXED, ErrorColumn, error_tests
 from jaxbundle.statistics.possible_errors import possible_errors
 from jaxbundle.statistics.reliability import POWER, level_of_one, non_centrality, reliability
-from jaxbundle.statistics.suspects import Suspects, find_suspects, with_errors_removed
+from jaxbundle.statistics.suspects import find_suspects, with_errors_removed
 
 PIXELS = AerialCamera(120.0, 104.0, 68.0, pixel_size=0.012)
 SELF_CALIBRATED = AerialCamera(
     100.0, 104.0, 68.0, 0.012, (0.05, -0.03), {"K1": -2e-6}, ("principal_distance", "x0", "y0", "K1")
 )
+ROUGH = 0.01  # of the distance to the points, and in radians: errors of the values at which an adjustment begins
+ITERATIONS = 60  # of one adjustment
 
 
 def strip() -> Block:
@@ -118,7 +122,7 @@ class Mistake:
 
 
 class Outcome(NamedTuple):
-    """`first`: the culprit is named first; `found`: somewhere; `wrongly`: others that are named; None: no result."""
+    """`first`: the culprit is named first; `found`: somewhere; `wrongly`: others that are named."""
 
     first: bool
     found: bool
@@ -137,15 +141,25 @@ class Simulated:
 
     def adjusted(self, rng: np.random.Generator, mistake: Mistake | None, size: float) -> Adjustment:
         """An adjustment of the block with other normal errors and a mistake."""
+        return adjust(self.given(rng, mistake, size), max_iterations=ITERATIONS)
+
+    def given(self, rng: np.random.Generator, mistake: Mistake | None, size: float) -> Block:
+        """The block with other normal errors and a mistake, at rough values of its unknowns."""
         block = drawn(self.truth, rng)
         if mistake is not None:
             block = with_errors_removed(block, [(column, -size * s) for column, s in mistake.errors])
         now = self.start.block
-        points = np.where(now.structure.point_free, np.asarray(now.object_points), np.asarray(block.object_points))
-        block = eqx.tree_at(
-            lambda b: (b.exterior, b.interior, b.object_points), block, (now.exterior, now.interior, on_device(points))
+        free, points = now.structure.point_free, np.asarray(now.object_points)
+        centres, angles = np.asarray(now.exterior.projection_centre), np.asarray(now.exterior.angles)
+        rough = ROUGH * float(np.linalg.norm(centres[:, None] - points, axis=2).min())
+        points = np.where(free, points + rough * rng.standard_normal(points.shape), np.asarray(block.object_points))
+        exterior = ExteriorOrientation(
+            on_device(centres + rough * rng.standard_normal(centres.shape)),
+            on_device(angles + ROUGH * rng.standard_normal(angles.shape)),
         )
-        return adjust(block, max_iterations=60)
+        return eqx.tree_at(
+            lambda b: (b.exterior, b.interior, b.object_points), block, (exterior, now.interior, on_device(points))
+        )
 
     def mistake(self, kind: str, rng: np.random.Generator) -> Mistake | None:
         """A mistake of a kind with rows drawn by chance; None where the block has no such rows."""
@@ -182,14 +196,23 @@ def drawn(truth: Block, rng: np.random.Generator) -> Block:
     return eqx.tree_at(lambda b: (b.rays.coordinates, b.groups), truth, (on_device(rays), groups))
 
 
-def outcome(found: Suspects, mistake: Mistake) -> Outcome:
-    """How the culprit was named; one that cannot be told apart from another counts as named."""
+def outcome(start: Block, adjustment: Adjustment, mistake: Mistake) -> Outcome:
+    """How the culprit was named; one that cannot be told apart from another counts as named.
+
+    Where the tests of the residuals explain nothing, what `findings` looks for then counts: observations without which
+    the block converges.
+    """
+    found = find_suspects(adjustment)
+    named = [(s.subjects, *s.alternatives) for s in found.suspicions]
+    if not named or found.sigma0 > BEYOND_USE:
+        named = [((subject,),) for finding in causes(start, adjustment) for subject in finding.subjects] or named
     wanted = {(s.table, s.names) for s in mistake.subjects}
-    named = [
-        [{(s.table, s.names) for s in subjects} for subjects in (s.subjects, *s.alternatives)] for s in found.suspicions
-    ]
-    right = [any(subjects <= wanted or wanted <= subjects for subjects in one) for one in named]
+    right = [any(wanted >= _keys(subjects) or wanted <= _keys(subjects) for subjects in one) for one in named]
     return Outcome(bool(right[:1] and right[0]), any(right), sum(not r for r in right))
+
+
+def _keys(subjects: tuple[Subject, ...]) -> set[tuple[str, tuple[str, ...]]]:
+    return {(s.table, s.names) for s in subjects}
 
 
 Made = tuple[tuple[Subject, ...], tuple[tuple[ErrorColumn, float], ...], bool]
@@ -343,12 +366,12 @@ KINDS: dict[str, Callable[[Block, np.random.Generator], Made | None]] = {
 
 def drawn_outcome(
     simulated: Simulated, kind: str, multiple: float, rng: np.random.Generator
-) -> tuple[Outcome | None, Mistake] | None:
-    """One draw: None where the block has no such rows; no outcome where the adjustment does not converge."""
+) -> tuple[Outcome, bool, Mistake] | None:
+    """One draw, and whether its adjustment gave a result; None where the block has no such rows."""
     mistake = simulated.mistake(kind, rng)
     if mistake is None:
         return None
-    adjustment = simulated.adjusted(rng, mistake, 1.0 if mistake.fixed else multiple * mistake.detectable)
-    if adjustment.status is not Status.CONVERGED or adjustment.undetermined:
-        return None, mistake
-    return outcome(find_suspects(adjustment), mistake), mistake
+    start = simulated.given(rng, mistake, 1.0 if mistake.fixed else multiple * mistake.detectable)
+    adjustment = adjust(start, max_iterations=ITERATIONS)
+    result = adjustment.status is Status.CONVERGED and not adjustment.undetermined
+    return outcome(start, adjustment, mistake), result, mistake

@@ -14,7 +14,7 @@ CAMERA = AerialCamera(
 )
 
 
-def small_block(noise: float = 1.0) -> Simulation:
+def small_block(noise: float = 1.0, relief: float = 150.0) -> Simulation:
     """Two strips of four images: weighted and fixed control, observed stations, check points, self-calibration."""
     return simulate(
         2,
@@ -28,6 +28,7 @@ def small_block(noise: float = 1.0) -> Simulation:
         station_sigma=0.1,
         check_points=3,
         noise=noise,
+        relief=relief,
         seed=4,
     )
 

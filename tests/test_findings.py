@@ -1,6 +1,8 @@
 """Everything that can be found about an adjustment, provoked once: kind, severity, culprits, and each sentence."""
 
 import dataclasses
+from types import SimpleNamespace
+from typing import Any
 
 import equinox as eqx
 import jax.numpy as jnp
@@ -8,10 +10,15 @@ import numpy as np
 import pytest
 from simulated import small_block
 
+from jaxbundle.block.block import Parameter
 from jaxbundle.block.findings import Finding, Kind, Severity, Subject, in_order
+from jaxbundle.block.navigation import ATTITUDES
 from jaxbundle.diagnosis.adjusted import findings
+from jaxbundle.diagnosis.boresight import boresight_findings
 from jaxbundle.diagnosis.elements import _together, correlations_of
+from jaxbundle.diagnosis.flying_heights import flying_height_findings
 from jaxbundle.diagnosis.sigmas import global_test, group_factors
+from jaxbundle.geometry.rotation import OMEGA_PHI_KAPPA
 from jaxbundle.solve.adjust import adjust
 from jaxbundle.solve.adjustment import Adjustment, Status
 from jaxbundle.solve.verdict import with_verdict
@@ -302,3 +309,34 @@ def test_many_cameras_are_one_finding():
     (all_of_them,) = _together(one)
     assert all_of_them.what == "camera 0; likewise in 8 more cameras: 1, 2, 3, 4, 5, 6 and 2 more"
     assert [subject.names[0] for subject in all_of_them.subjects] == [str(k) for k in range(9)]
+
+
+def test_principal_distance_that_the_flying_height_imitates_is_told(adjustment):
+    """Vertical images of flat terrain, and stations that are hardly observed; relief and good stations tell it."""
+    assert not flying_height_findings(adjustment)
+    block = small_block(relief=1.0).block
+    loose = [k for k, group in enumerate(block.groups) if group.structure.kind.name == "stations"][0]
+    block = eqx.tree_at(lambda b: b.groups[loose].sigmas, block, 1e4 * block.groups[loose].sigmas)
+    (told,) = flying_height_findings(adjust(block))
+    assert told.kind is Kind.CORRELATED and told.subjects[0].component == "principal_distance"
+    assert abs(told.size) > 0.99 and "mean Z0" in told.what and told.cure
+
+
+def test_boresight_that_is_no_misalignment_is_told():
+    """Its angle is that of the whole rotation; a mounting that is off by degrees is none."""
+    values = np.radians([1.0, -2.0, 183.0])
+    structure = SimpleNamespace(
+        parameters=[Parameter(f"boresight {name} of imu") for name in ("omega", "phi", "kappa")],
+        parameter_free=np.ones(3, bool),
+        rotation_system=OMEGA_PHI_KAPPA,
+    )
+    attitudes = SimpleNamespace(
+        structure=SimpleNamespace(kind=ATTITUDES[OMEGA_PHI_KAPPA.name], indices=np.arange(10)[None] - 1)
+    )
+    block = SimpleNamespace(structure=structure, groups=[attitudes], parameters=values)
+    adjustment: Any = SimpleNamespace(block=block)
+    (told,) = boresight_findings(adjustment)
+    assert told.size == pytest.approx(177.0, abs=0.2) and told.unit == "deg"
+    assert "kappa by 180 deg" in told.cure and "omega by" not in told.cure
+    block.parameters = np.radians([1.0, -2.0, 3.0])
+    assert not boresight_findings(adjustment)

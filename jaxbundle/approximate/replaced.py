@@ -55,9 +55,9 @@ def replaced_images(block: Block, replaced: Bool[np.ndarray, " image"], now: Sig
 
 
 def replaced_points(
-    block: Block, replaced: Bool[np.ndarray, " point"], points: Float[np.ndarray, "point 3"]
+    block: Block, replaced: Bool[np.ndarray, " point"], points: Float[np.ndarray, "point 3"], by: str
 ) -> list[Finding]:
-    """What was done to the points."""
+    """What was done to the points. `by`: what they were replaced by, {} for whose it is."""
     structure = block.structure
     if not replaced.any():
         return []
@@ -65,11 +65,8 @@ def replaced_points(
     distance = np.nan_to_num(np.linalg.norm(points[chosen] - on_host(block.object_points)[chosen], axis=1))
     order = np.argsort(-distance)
     parts = [f"{structure.point_names[chosen[k]]} by {distance[k]:.4g} {structure.object_unit}" for k in order]
-    whose = "its rays" if len(parts) == 1 else "their rays"
-    what = (
-        f"the approximate coordinates of {counted(len(parts), 'point')} were replaced by the intersection of {whose}:"
-        f" {named(parts)}"
-    )
+    by = by.format("its" if len(parts) == 1 else "their")
+    what = f"the approximate coordinates of {counted(len(parts), 'point')} were replaced by {by}: {named(parts)}"
     subjects = tuple(Subject("points", (structure.point_names[chosen[k]],)) for k in order)
     return [Finding(Kind.REPAIRED, what, "", subjects, float(distance.max()), structure.object_unit)]
 

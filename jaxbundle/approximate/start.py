@@ -3,8 +3,8 @@
 An image is absurd if half of its rays are off by more than a field of the camera (`sight.Sight.field`) both from the
 given points and from those its rays meet in; it is replaced by a resection if that leaves a tenth of the angles. A
 point is absurd if its rays are, half of them, off by more than a field; it is replaced by the intersection of its rays
-on the same condition. Approximate values that are merely rough stay as they are, to the last bit: the adjustment
-converges from them.
+on the same condition, a control point by its observed coordinates. Approximate values that are merely rough stay as
+they are, to the last bit: the adjustment converges from them.
 """
 
 from typing import NamedTuple
@@ -91,7 +91,8 @@ def checked_start(block: Block, sight: Sight) -> CheckedStart:
         return CheckedStart(block, (), sight, suspects)
     findings = (
         *replaced_images(block, start.replaced, start.sight),
-        *replaced_points(block, changed & ~hopeless, points),
+        *replaced_points(block, changed & ~hopeless & sight.is_known, points, "what is observed"),
+        *replaced_points(block, changed & ~hopeless & ~sight.is_known, points, "the intersection of {} rays"),
         *hopeless_points(block, hopeless),
     )
     return CheckedStart(_with_values(block, start, points), findings, start.sight._replace(points=points), suspects)
@@ -233,12 +234,12 @@ def _the_wrong_one(sight: Sight, suspects: Bool[np.ndarray, " image"], may: Bool
 def _with_points(
     sight: Sight, block: Block, suspects: Bool[np.ndarray, " image"]
 ) -> tuple[Float[np.ndarray, "point 3"], Bool[np.ndarray, " point"]]:
-    """Coordinates with absurd ones replaced; and the points whose rays do not meet, far away in front."""
+    """Coordinates with absurd ones replaced, of control by what is observed; and the points whose rays do not meet, far
+    away in front."""
     count = len(sight.points)
-    free = block.structure.point_free.all(1) & ~sight.is_known
     rays = np.bincount(sight.point, minlength=count)
     q = relative_off(sight, sight.points)
-    absurd = free & (rays >= 2) & mostly_beyond(q, ABSURD, sight.point, count)
+    absurd = block.structure.point_free.all(1) & (rays >= 2) & mostly_beyond(q, ABSURD, sight.point, count)
     none = np.zeros(count, bool)
     if not absurd.any():
         return sight.points, none
@@ -246,12 +247,14 @@ def _with_points(
     good_images = ~suspects
     absurd &= np.bincount(sight.point[good_images[sight.image]], minlength=count) >= 2
     meet = intersected(sight, good_images)
-    new = np.where(meet.in_front, medians(relative_off(sight, meet.points), sight.point, count), np.inf)
+    candidates = np.where(sight.is_known[:, None], sight.known, meet.points)
+    new = medians(relative_off(sight, candidates), sight.point, count)
+    new = np.where(meet.in_front | sight.is_known, new, np.inf)
     better = absurd & (new <= FAR_SMALLER * now) & (new <= CONSISTENT)
-    points = np.where(better[:, None], meet.points, sight.points)
+    points = np.where(better[:, None], candidates, sight.points)
     # coordinates that the user gave stay: only those that were intersected behind the cameras are no information
     own = np.linalg.norm(sight.points - meet.points, axis=1) <= SAME * np.linalg.norm(meet.points, axis=1)
-    hopeless = absurd & ~better & ~meet.in_front & own
+    hopeless = absurd & ~better & ~meet.in_front & own & ~sight.is_known
     return np.where(hopeless[:, None], _far(sight), points), hopeless
 
 

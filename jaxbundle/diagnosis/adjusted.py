@@ -5,9 +5,11 @@ import dataclasses
 from jaxbundle.block.block import Block
 from jaxbundle.block.findings import Finding, Kind, Severity, in_order, of_kind
 from jaxbundle.diagnosis.after_failure import causes
+from jaxbundle.diagnosis.boresight import boresight_findings
 from jaxbundle.diagnosis.controlled import controlled_findings
 from jaxbundle.diagnosis.culprits import findings_of_suspects
 from jaxbundle.diagnosis.elements import element_findings
+from jaxbundle.diagnosis.flying_heights import flying_height_findings
 from jaxbundle.diagnosis.points import point_findings
 from jaxbundle.diagnosis.reweighted import robust_findings
 from jaxbundle.diagnosis.sigmas import sigma_findings
@@ -41,7 +43,8 @@ def findings(adjustment: Adjustment, start: Block | None = None) -> tuple[Findin
         told = causes(start, adjustment) or told
     found += told
     if adjustment.status is Status.CONVERGED:
-        found += [*element_findings(adjustment), *point_findings(adjustment), *controlled_findings(adjustment)]
+        found += [*element_findings(adjustment), *flying_height_findings(adjustment), *boresight_findings(adjustment)]
+        found += [*point_findings(adjustment), *controlled_findings(adjustment)]
     if adjustment.cofactors is None:
         found.append(Finding(Kind.NO_PRECISION, "no standard deviations were computed"))
     return in_order(_explained(found))

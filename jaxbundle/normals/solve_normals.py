@@ -40,6 +40,29 @@ def _on_device(linear: Linearised, right: NormalVector) -> NormalVector:
     return lax.map(_factorised(linear).solve, right)
 
 
+def inverse_products(unknowns: OrderedUnknowns, p: Problem, b: NormalVector) -> Float[Array, "vector vector"]:
+    """b^T N^-1 b of all pairs of vectors of the leading axis, on one device: no vector is substituted back.
+
+    b^T N^-1 b = r^T S^-1 r + b_X^T V^-1 b_X,    r = b_t - W V^-1 b_X
+    """
+    return over_devices(_inverse_products, linearise(unknowns, p), EVERYWHERE, (b,))
+
+
+def _inverse_products(linear: Linearised, b: NormalVector) -> Float[Array, "vector vector"]:
+    factorised = _factorised(linear)
+
+    def forward_solution(b: NormalVector) -> tuple[ReducedVector, ReducedVector, Float[Array, "3 tile column"]]:
+        u = factorised.eliminated(b.tiles)
+        r = factorised.condensed(b, u)
+        return r, factorised.reduced_solution(r), u
+
+    r, t, u = lax.map(forward_solution, b)
+    pairs = (r.images, t.images), (r.border, t.border), (b.tiles, u)
+    parts = [jnp.einsum("fa,ga->fg", *(x.reshape(len(x), -1) for x in pair)) for pair in pairs]
+    products = parts[0] + parts[1] + parts[2]
+    return (products + products.T) / 2
+
+
 class _Factorised(NamedTuple):
     """The equations as one device has them, factorised."""
 
@@ -49,14 +72,16 @@ class _Factorised(NamedTuple):
 
     def solve(self, b: NormalVector) -> NormalVector:
         """The solution for one right-hand side."""
-        linear = self.linear
-        rows = to_images(linear, self._eliminated(b.tiles))
-        coupled = reduced_rows(linear.total(rows), linear)
-        t = self._reduced(ReducedVector(b.images - coupled.images, b.border - coupled.border))
-        at_points = to_points(linear, values_along(t, linear))
-        return NormalVector(t.images, t.border, self._eliminated(b.tiles - at_points))
+        t = self.reduced_solution(self.condensed(b, self.eliminated(b.tiles)))
+        at_points = to_points(self.linear, values_along(t, self.linear))
+        return NormalVector(t.images, t.border, self.eliminated(b.tiles - at_points))
 
-    def _reduced(self, right: ReducedVector) -> ReducedVector:
+    def condensed(self, b: NormalVector, u: Float[Array, "3 tile column"]) -> ReducedVector:
+        """b_t - W u."""
+        coupled = reduced_rows(self.linear.total(to_images(self.linear, u)), self.linear)
+        return ReducedVector(b.images - coupled.images, b.border - coupled.border)
+
+    def reduced_solution(self, right: ReducedVector) -> ReducedVector:
         """S^-1 r."""
         if isinstance(self.reduced, ImplicitEquations):
             return self.reduced.solve(right)
@@ -64,7 +89,7 @@ class _Factorised(NamedTuple):
         images, border = solve(solver, self.reduced, right.images[..., None], right.border[:, None])
         return ReducedVector(images[..., 0], border[:, 0])
 
-    def _eliminated(self, b: Float[Array, "3 tile column"]) -> Float[Array, "3 tile column"]:
+    def eliminated(self, b: Float[Array, "3 tile column"]) -> Float[Array, "3 tile column"]:
         """V^-1 b."""
         return jnp.stack(backward(self.points, forward(self.points, (b[0], b[1], b[2]))))
 

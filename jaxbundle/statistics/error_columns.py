@@ -1,7 +1,8 @@
 """How errors of observations act, column by column, and what the residuals say of each.
 
-A column of B is the effect of a unit error on the observations. An error in a fixed coordinate acts on what touches its
-point: its column is minus that of the design matrix. With C = P^1/2 B and the weighted residuals v,
+A column of B is minus the effect of a unit error on the residuals: 1 for an observed value. An image point acts through
+its corrections, where the measurement is corrected and not the projection. An error in a fixed coordinate acts on what
+touches its point: its column is minus that of the design matrix. With C = P^1/2 B and the weighted residuals v,
 
     g = C^T v,    M = C^T C - (A^T C)^T N^-1 (A^T C) = B^T P Q_vv P B
 
@@ -26,12 +27,12 @@ from jaxtyping import Array, Float, Int
 from jaxbundle.block.block import Block
 from jaxbundle.block.datum import with_datum
 from jaxbundle.block.design import Corrections, design_columns, free_elements, no_corrections, residuals_after
-from jaxbundle.block.residuals import Observations, observations_of
+from jaxbundle.block.residuals import Observations, observations_of, ray_residuals
 from jaxbundle.block.unknowns import Unknowns, unknowns_of
 from jaxbundle.normals.from_block import BlockVectors, ordered_vectors, problem, to_elimination_order
 from jaxbundle.normals.plan.known_plans import planned
 from jaxbundle.normals.problem import NormalVector, OrderedUnknowns, Problem
-from jaxbundle.normals.solve_normals import solve_normals
+from jaxbundle.normals.solve_normals import inverse_products
 from jaxbundle.numerics.compilation import RAYS_FOR_OPTIMISATION, Compiled
 from jaxbundle.numerics.host import on_device
 from jaxbundle.numerics.shapes import grid_size
@@ -129,10 +130,7 @@ def _explained_by_elimination(
 @Compiled
 def _explained(unknowns: OrderedUnknowns, p: Problem, rows: NormalVector) -> Float[Array, "column column"]:
     """(A^T C)^T N^-1 (A^T C)."""
-    q = solve_normals(unknowns, p, rows)
-    products = [jnp.einsum("fa,ga->fg", *(x.reshape(len(x), -1) for x in pair)) for pair in zip(rows, q, strict=True)]
-    found = sum(products[1:], products[0])
-    return (found + found.T) / 2
+    return inverse_products(unknowns, p, rows)
 
 
 def _weighted_columns(
@@ -142,12 +140,15 @@ def _weighted_columns(
     sizes = [2 * len(block.structure.ray_image), *(group.structure.observed.size for group in block.groups)]
     start = np.concatenate([[0], np.cumsum(sizes)])
     weights = 1 / np.asarray(block.rays.sigmas), *(np.asarray(group.weights) for group in block.groups)
-    fixed = None
+    fixed = image_points = None
     entries = []
     for column in columns:
         if column.table == FIXED:
             fixed = _fixed_effects(block, unknowns, o) if fixed is None else fixed
             entries.append(fixed.of(column))
+        elif column.table == 0:
+            image_points = _image_point_effects(block, unknowns, o) if image_points is None else image_points
+            entries.append(image_points.of(column))
         else:
             entries.append(_observed_effects(column, weights[column.table], int(start[column.table])))
     rows, values = (np.concatenate(part) for part in zip(*entries, strict=True))
@@ -163,6 +164,39 @@ def _observed_effects(column: ErrorColumn, weights: np.ndarray, first: int) -> t
         return rows, weights[column.member, column.component] * column.values
     rows = first + width * column.member[:, None] + np.arange(width)  # correlated components: columns of L^-1
     return rows.ravel(), (weights[column.member, :, column.component] * column.values[:, None]).ravel()
+
+
+class _ImagePointEffects(NamedTuple):
+    """Minus the changes of all weighted residuals of the rays by a unit error of x and of y, y up."""
+
+    changes: Float[np.ndarray, "2 2 ray"]
+
+    def of(self, column: ErrorColumn) -> tuple[np.ndarray, np.ndarray]:
+        """Both residuals of every ray: of an image point that is corrected each depends on both coordinates."""
+        rows = 2 * column.member[:, None] + np.arange(2)
+        values = column.values[:, None] * self.changes[column.component, :, column.member]
+        return rows.ravel(), values.ravel()
+
+
+def _image_point_effects(block: Block, unknowns: Unknowns, o: Observations) -> _ImagePointEffects:
+    s = block.structure
+    down = np.array([camera.image_unit == "px" for camera in s.cameras])[s.image_camera[s.ray_image]]
+    upward = on_device(np.stack([np.ones(len(down)), np.where(down, -1.0, 1.0)]))
+    optimised = len(s.ray_image) >= RAYS_FOR_OPTIMISATION
+    return _ImagePointEffects(-np.asarray(_changes_by_image_points(unknowns, o, upward, optimised=optimised)))
+
+
+@Compiled
+def _changes_by_image_points(unknowns: Unknowns, o: Observations, upward: Array) -> Float[Array, "2 2 ray"]:
+    """Changes of the weighted residuals by a unit shift of all image points along x and along y."""
+
+    def residuals(coordinates: Float[Array, "2 ray"]) -> Float[Array, "2 ray"]:
+        return ray_residuals(unknowns, eqx.tree_at(lambda x: x.coordinates, o, coordinates)) * o.weights
+
+    def along(axis: Array) -> Float[Array, "2 ray"]:
+        return jax.jvp(residuals, (o.coordinates,), (axis[:, None] * upward,))[1]
+
+    return jax.lax.map(along, jnp.eye(2))
 
 
 class _FixedEffects(NamedTuple):

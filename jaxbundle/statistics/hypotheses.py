@@ -15,7 +15,7 @@ from jaxtyping import Float
 from jaxbundle.block.block import Block
 from jaxbundle.block.findings import Subject
 from jaxbundle.block.geodetic import ANGLES
-from jaxbundle.statistics.error_columns import ErrorColumn
+from jaxbundle.statistics.error_columns import FIXED, ErrorColumn
 
 ANGLE_TABLES = (*ANGLES, "attitudes")
 
@@ -53,6 +53,11 @@ class Hypothesis:
         return self.cause, self.subjects
 
     @property
+    def is_observed(self) -> bool:
+        """Whether it is about observations of one row, and not about fixed coordinates or a group."""
+        return self.cause is Cause.VALUE and all(table != FIXED for table, _ in self.members)
+
+    @property
     def exact(self) -> bool:
         """Whether its size is 1 if this is what happened."""
         return self.cause in (Cause.NAMES, Cause.AXES)
@@ -61,7 +66,7 @@ class Hypothesis:
 @dataclass(frozen=True)
 class Hypotheses:
     """All hypotheses of a block; `combinations` makes their columns of the `elementary` ones, which are in the block's
-    own tables; `observations` and rows are tested, if only by w."""
+    own tables; `observations`: single ones and rows, which are all tested, if only by w."""
 
     every: tuple[Hypothesis, ...]
     elementary: tuple[ErrorColumn, ...]
@@ -70,8 +75,9 @@ class Hypotheses:
 
     @property
     def tests(self) -> int:
-        """Number of tests: all observations and what is tested besides single ones."""
-        return self.observations + sum(h.whole for h in self.every)
+        """Number of tests: all observations and rows, and what is tested besides: coordinates of fixed points, groups
+        and their components. Mistakes of a known size are tested by that size."""
+        return self.observations + sum(not h.exact and not h.is_observed for h in self.every)
 
 
 def image_points(block: Block) -> Float[np.ndarray, "ray 2"]:

@@ -21,7 +21,7 @@ from jaxbundle.normals.from_block import BlockVectors, ordered_vectors, problem,
 from jaxbundle.normals.plan.elimination_plan import EliminationPlan
 from jaxbundle.normals.plan.known_plans import planned
 from jaxbundle.normals.problem import NormalVector, OrderedUnknowns, Problem
-from jaxbundle.normals.solve_normals import solve_normals
+from jaxbundle.normals.solve_normals import inverse_products
 from jaxbundle.numerics.compilation import RAYS_FOR_OPTIMISATION, Compiled
 from jaxbundle.numerics.host import on_device
 from jaxbundle.numerics.trial import first_line
@@ -138,10 +138,7 @@ def _cofactors(
     """F Q F^T."""
     if carrying is not None:
         rows = with_inner_constraints(unknowns, p, carrying, constraints, rows)
-    q = solve_normals(unknowns, p, rows)
-    products = [jnp.einsum("fa,ga->fg", *(x.reshape(len(x), -1) for x in pair)) for pair in zip(rows, q, strict=True)]
-    found = sum(products[1:], products[0])
-    return (found + found.T) / 2
+    return inverse_products(unknowns, p, rows)
 
 
 def _arranged_rows(plan: EliminationPlan, block: Block, derivatives: Any) -> NormalVector:

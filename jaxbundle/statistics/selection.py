@@ -53,6 +53,7 @@ class Selection:
         self._least = np.array([CONTROLLED if h.cause is Cause.VALUE else CONTROLLED_AS_GROUP for h in hypotheses])
         self._scales = np.array([h.cause is Cause.IMAGE for h in hypotheses], bool)
         self._exact = np.array([h.exact for h in hypotheses], bool)
+        self._known: dict[frozenset[int], Tested] = {}
 
     def columns(self, accepted: Sequence[int]) -> Int[np.ndarray, " column"]:
         """Columns of some hypotheses."""
@@ -82,7 +83,13 @@ class Selection:
         )
 
     def tested(self, accepted: Sequence[int]) -> Tested:
-        """All hypotheses in the presence of the accepted ones."""
+        """All hypotheses in the presence of the accepted ones; each set of these is computed once."""
+        key = frozenset(accepted)
+        if key not in self._known:
+            self._known[key] = self._tested(sorted(key))
+        return self._known[key]
+
+    def _tested(self, accepted: Sequence[int]) -> Tested:
         t, count = self.given(accepted), len(self.hypotheses)
         found = Tested(np.zeros(count), np.zeros(count, int), np.zeros(count), np.zeros(count))
         sizes, deviations = np.ones(count), np.zeros(count)

@@ -22,7 +22,7 @@ from jaxbundle.solve.attempt import attempt
 from jaxbundle.statistics.error_columns import FIXED, MOST_DENSE, ErrorColumn, ErrorTests, error_tests
 from jaxbundle.statistics.hypotheses import Cause, Hypotheses, Hypothesis
 from jaxbundle.statistics.possible_errors import possible_errors
-from jaxbundle.statistics.reliability import POWER, level_of_one, redundancy_numbers
+from jaxbundle.statistics.reliability import POWER, critical_w, level_of_one, redundancy_numbers
 from jaxbundle.statistics.robust_start import robust_point, with_unknowns_of
 from jaxbundle.statistics.selection import CONTROLLED, Selection
 
@@ -105,6 +105,9 @@ def find_suspects(adjustment: Adjustment, level: float = LEVEL) -> Suspects:
         again = attempt(with_unknowns_of(with_errors_removed(given, state.elementary()), state.block))
         if again is None or float(again.vtpv) > float(adjustment.vtpv):
             break  # too far for the linear tests, whose first word stands
+        if state.foretells(again):
+            state = dataclasses.replace(state, adjustment=again)
+            break
         state = state.next(again)
     return state.found() if state.accepted else nobody
 
@@ -218,6 +221,21 @@ class _State:
             if (np.abs(size - self.removed[key]) > np.maximum(SAME * sd, SAME * SAME * np.abs(size))).any():
                 return False
         return True
+
+    def foretells(self, again: Adjustment) -> bool:
+        """Whether the adjustment without the accepted errors is as the linear tests say, and shows no new suspect."""
+        left = self.selection.given(self.accepted)
+        variance = max(left.vtpv / max(left.redundancy, 1), 1.0)
+        if abs(float(again.vtpv) - left.vtpv) > SAME * variance:
+            return False
+        limit = critical_w(float(np.exp(self.selection.log_level))) * np.sqrt(variance)
+        tested = frozenset[tuple[int, int]]().union(*(h.members for h in self.hypotheses.every))
+        large = (
+            (table, row)
+            for table, (v, root) in enumerate(zip(_tables(again), self.roots, strict=True))
+            for row in np.flatnonzero((np.abs(v) > limit * root).any(1)).tolist()
+        )
+        return all(member in tested for member in large)
 
     def _of_number(self, number: int) -> Hypothesis:
         return self.hypotheses.every[number]
