@@ -40,6 +40,6 @@ def _alpha_omega_kappa(image: tuple[Vector, Rotation], *numbers) -> Vector:
 _TOUCHES = ("image", *["parameter"] * 9)
 GNSS = ObservationKind("stations", ("X0", "Y0", "Z0"), _TOUCHES, _centre, in_object_system=True, constants=("time",))
 ATTITUDES = {
-    system.name: ObservationKind("attitudes", system.angles, _TOUCHES, residual, constants=("time",))
+    system.name: ObservationKind("attitudes", system.angles, _TOUCHES, residual, constants=("time",), angles=True)
     for system, residual in ((OMEGA_PHI_KAPPA, _omega_phi_kappa), (ALPHA_OMEGA_KAPPA, _alpha_omega_kappa))
 }

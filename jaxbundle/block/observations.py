@@ -33,7 +33,8 @@ from jaxbundle.numerics.trial import defect
 class ObservationKind:
     """`name` is the table's; `in_object_system`: observed values are object coordinates and move with the origin.
 
-    `constants` names the numbers each member has besides; those called X, Y, Z are object coordinates too.
+    `constants` names the numbers each member has besides; those called X, Y, Z are object coordinates too. `angles`:
+    its components are angles, in radians here and in the angle unit of the block where a user reads them.
     """
 
     name: str
@@ -42,6 +43,7 @@ class ObservationKind:
     residual: Callable[..., tuple[Scalar, ...]]
     in_object_system: bool = False
     constants: tuple[str, ...] = ()
+    angles: bool = False
 
     def residuals(self, touched: tuple, observed: tuple[Scalar, ...], constants: tuple[Scalar, ...]) -> tuple:
         """The residuals of a member, or of many whose scalars are arrays."""
