@@ -106,7 +106,9 @@ def read_block_toml(path: Path, noted: Noted) -> BlockToml:
         return BlockToml(Settings.model_validate(raw), raw, text)
     except ValidationError as error:
         alike: dict[tuple, list[ErrorDetails]] = {}
-        for detail in error.errors(include_url=False):
+        details = error.errors(include_url=False)
+        unknown = {detail["loc"][:-1] for detail in details if detail["loc"][-1] == "[key]"}
+        for detail in (detail for detail in details if detail["loc"] not in unknown):
             loc: tuple[int | str, ...] = detail["loc"]
             kind = loc[0], loc[2:], detail["msg"]  # the same in many sections
             alike.setdefault(kind if kind[0] in OF_NAMES and len(loc) > 2 else loc, []).append(detail)

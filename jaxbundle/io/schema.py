@@ -48,8 +48,8 @@ class Unit(Enum):
     TIME = "any unit of time", LARGEST_TIME
     NONE = "", LARGEST_LENGTH
 
-    def __init__(self, words: str, largest: float):
-        self.words, self.largest = words, largest
+    def __init__(self, words: str, maximum: float):
+        self.words, self.maximum = words, maximum
 
 
 @dataclass(frozen=True)
@@ -71,11 +71,11 @@ class Column:
     first_face: str = ""
     missing: str = ""
 
-    def largest(self, half_turn: float) -> float:
+    def maximum(self, half_turn: float) -> float:
         """The largest number that is read; `half_turn` is that of the angle unit."""
         if self.holds is Holds.SIGMA:
             return LARGEST_SIGMA
-        return largest_angle(half_turn) if self.unit is Unit.ANGLE else self.unit.largest
+        return largest_angle(half_turn) if self.unit is Unit.ANGLE else self.unit.maximum
 
     @property
     def words(self) -> str:

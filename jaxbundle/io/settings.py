@@ -13,7 +13,7 @@ from jaxbundle.camera.registry import CAMERA_MODELS
 from jaxbundle.geometry.rotation import ROTATION_SYSTEMS
 from jaxbundle.io.block_tables import REQUIRED, TABLES
 from jaxbundle.io.near_names import nearest
-from jaxbundle.io.setting_types import (
+from jaxbundle.io.ranges import (
     AnyCase,
     Coefficient,
     Length,

@@ -134,7 +134,7 @@ class Table:
         if nothing.any():
             nothing &= np.stack([text.str.contains(NOT_NOTHING).to_numpy() for text in texts], 1)
         described = [self.schema.column(column) for column in columns]
-        finite, limits = np.isfinite(values), [column.largest(self.half_turn) for column in described]
+        finite, limits = np.isfinite(values), [column.maximum(self.half_turn) for column in described]
         large = finite & (size > np.array(limits))
         self._note_fields(columns, large, [f"larger than {limit:g}" for limit in limits], "correct it, or its unit")
         self._note_fields(columns, nothing, ["too small to be meant"] * len(columns), "give 0, or correct it")
