@@ -3,7 +3,6 @@
 Beyond, a number is a slip or another unit, and its square or its weight leaves the range of double precision.
 """
 
-import math
 from typing import Annotated, Any
 
 from pydantic import AfterValidator, BeforeValidator, Field
@@ -34,11 +33,6 @@ def beyond(value: float, smallest: float, largest: float) -> str:
 def largest_angle(half_turn: float) -> float:
     """The largest angle in a unit whose half turn is given."""
     return 2 * TURNS * half_turn
-
-
-def is_unusable(value: float, largest: float) -> bool:
-    """Whether a number is not finite, too large, or not 0 and below any meaning."""
-    return not math.isfinite(value) or abs(value) > largest or 0 < abs(value) < NOTHING
 
 
 def problem(what: str, cure: str) -> PydanticCustomError:
