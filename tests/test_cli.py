@@ -118,7 +118,7 @@ def test_results_that_cannot_be_written_are_kept_elsewhere(run, folder, adjustme
 
 
 def test_a_report_that_fails_leaves_the_numbers(run, folder, adjustment, tmp_path, monkeypatch):
-    def broken(_):
+    def broken(*_):
         raise KeyError("a mistake in the report")
 
     monkeypatch.setattr(adjusting, "adjust", lambda block, **options: adjustment)

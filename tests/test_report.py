@@ -13,8 +13,11 @@ import pytest
 from simulated import small_block
 
 from jaxbundle.report import files, report_dict, report_text, write_report
-from jaxbundle.report.columns import WIDTH, aligned, decimals, short, table
-from jaxbundle.report.tables import finite
+from jaxbundle.report.data import finite, json_text
+from jaxbundle.report.figures import figures_of
+from jaxbundle.report.section import ReportTable, decimals, first, short
+from jaxbundle.report.sections import sections_of
+from jaxbundle.report.text import WIDTH, aligned
 from jaxbundle.solve.adjust import adjust
 from jaxbundle.solve.adjustment import Status
 
@@ -106,7 +109,7 @@ def test_what_is_not_finite_is_null(adjustment):
 
 
 def test_is_ready_for_json(report):
-    assert json.loads(files._json(report)) == json.loads(json.dumps(report, allow_nan=False))
+    assert json.loads(json_text(report)) == json.loads(json.dumps(report, allow_nan=False))
 
 
 def test_json_holds_what_json_can_hold():
@@ -117,7 +120,7 @@ def test_json_holds_what_json_can_hold():
         "images": {"a": {"X": (1.0, math.nan)}},
         "status": Status.CONVERGED,
     }
-    assert json.loads(files._json(finite(odd)), parse_constant=pytest.fail) == {
+    assert json.loads(json_text(finite(odd)), parse_constant=pytest.fail) == {
         "nan": None,
         "numbers": [1, 2.5, None, None, 3, True, None],
         "3": [[1.0, None]],
@@ -142,6 +145,25 @@ def test_a_report_is_written_whatever_the_numbers(adjustment, tmp_path, value, s
 def test_size_of_a_report_is_estimated(adjustment, tmp_path):
     size = sum(path.stat().st_size for path in write_report(adjustment, tmp_path / "results").iterdir())
     assert size < files.report_size(adjustment.block) < 3 * size + 50_000
+
+
+# The sections
+
+
+def test_sections_are_made_once_for_all_forms(adjustment, report):
+    """Columns of a table are equally long, every name stands once, and text and data are the same numbers."""
+    sections = [section() for section in sections_of(figures_of(adjustment, ()))]
+    tables = {part.name: part for section in sections for part in section.parts if isinstance(part, ReportTable)}
+    for table in tables.values():
+        (rows,) = {len(column.values) for column in table.columns}
+        assert len(table.page) == 0 or table.page.max() < rows
+        names = [column.name for column in table.columns if column.in_file]
+        assert len(set(names)) == len(names)
+    written = {f"{table.name}.csv" for table in tables.values() if table.in_file}
+    assert written == {name for name in files.result_files(adjustment.block) if name.endswith(".csv")}
+    (z,) = [column for column in tables["points"].columns if column.name == "Z"]
+    assert report["points"]["20"]["Z"][0] == z.values[19]
+    assert f" {z.show(z.values[19])} " in report_text(adjustment)
 
 
 # The text
@@ -182,7 +204,7 @@ def test_columns():
     assert aligned([("a", "10"), ("bcd", "2")]) == ["  a    10", "  bcd   2"]
     assert [decimals(np.array(sd)) for sd in ([0.012, 0.0], [3.4], [np.nan], [1e-15])] == [3, 1, 4, 9]
     assert short("x" * 18) == "x" * 18 and len(short("x" * 19)) == 18
-    assert table(("a",), [("1",)], 3, "points")[-1] == "  ... the first 1 of 3 points; the tables hold all"
+    assert first(np.arange(3), 1, "points")[1] == "... the first 1 of 3 points; the tables hold all"
 
 
 # The folder
@@ -239,7 +261,7 @@ def test_never_a_half_written_result(adjustment, tmp_path, monkeypatch):
     earlier = write_report(adjustment, tmp_path / "earlier")
     before = {path.name: path.read_bytes() for path in earlier.iterdir()}
 
-    def interrupted(figures):
+    def interrupted(figures, sections):
         raise KeyboardInterrupt
 
     monkeypatch.setattr(files, "text_of", interrupted)

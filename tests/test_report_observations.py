@@ -18,8 +18,8 @@ from jaxbundle.block.observations import ObservationKind, observation_group
 from jaxbundle.diagnosis.adjusted import findings
 from jaxbundle.io import read_block_folder
 from jaxbundle.report import files, report_dict, report_text, write_report
-from jaxbundle.report.columns import WIDTH
 from jaxbundle.report.group_tables import table_names
+from jaxbundle.report.text import WIDTH
 from jaxbundle.solve.adjust import adjust
 from jaxbundle.solve.adjustment import Reweighting
 

@@ -137,7 +137,7 @@ def geodetic_kind(name: str, start: str = "point", end: str = "point") -> Observ
     Raises: KeyError for an unknown name.
     """
     components, residual, more = _BETWEEN[name]
-    return ObservationKind(name, components, (start, end, *more), residual)
+    return ObservationKind(name, components, (start, end, *more), residual, angles=name in ANGLES)
 
 
 DISTANCES = geodetic_kind("distances")

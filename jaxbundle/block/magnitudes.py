@@ -12,14 +12,13 @@ from jaxtyping import Bool, Float
 
 from jaxbundle.block.block import Block
 from jaxbundle.block.findings import Finding, Kind, Subject
-from jaxbundle.block.geodetic import ANGLES
 from jaxbundle.block.observations import ObservationGroup
 from jaxbundle.block.problems import Problem
+from jaxbundle.block.wording import RADIANS
 
 LARGEST = 1e12  # of a coordinate in its unit: double precision then resolves 0.0001, and of sigmas
 SMALLEST = 1e-12  # of a sigma in its unit, radians for angles; finer than any instrument by far
 MAX_TURNS = 10  # of an angle: counted turns of a theodolite are few, and rounding of a large angle is felt
-UNITS = {"deg": 180 / np.pi, "gon": 200 / np.pi, "rad": 1.0}
 LEVEL = ("azimuths", "directions", "horizontal_distances", "zenith_angles")  # take a horizontal distance
 SLOPE = ("distances", "scale_bars")  # take a distance in space
 
@@ -81,14 +80,13 @@ def _turned(block: Block) -> Iterator[Problem]:
     unit = block.structure.angle_unit
     tables = [("images", np.asarray(block.exterior.angles))]
     for group in block.groups:
-        if group.structure.kind.name in (*ANGLES, "attitudes"):
+        if group.structure.kind.angles:
             tables.append((group.structure.kind.table, np.asarray(group.values)))
     for table, angles in tables:
         out = np.abs(angles) > MAX_TURNS * 2 * np.pi
         if out.any():
-            what = (
-                f"the angle {angles[out][0] * UNITS.get(unit, 1.0):.10g} {unit} makes more than {MAX_TURNS} full turns"
-            )
+            first = angles[out][0] / RADIANS.get(unit, 1.0)
+            what = f"the angle {first:.10g} {unit} makes more than {MAX_TURNS} full turns"
             yield from _told(
                 np.asarray(out.any(1)), table, what, f"give it within one full turn, and check that it is in {unit}"
             )

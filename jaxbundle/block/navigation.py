@@ -49,6 +49,6 @@ GNSS = ObservationKind(
     table="stations",
 )
 ATTITUDES = {
-    system.name: ObservationKind("attitudes", system.angles, _TOUCHES, residual, constants=("time",))
+    system.name: ObservationKind("attitudes", system.angles, _TOUCHES, residual, constants=("time",), angles=True)
     for system, residual in ((OMEGA_PHI_KAPPA, _omega_phi_kappa), (ALPHA_OMEGA_KAPPA, _alpha_omega_kappa))
 }

@@ -34,7 +34,8 @@ class ObservationKind:
     """`name` tells the kind from all others; `in_object_system`: observed values are object coordinates and move with
     the origin.
 
-    `constants` names the numbers each member has besides; those called X, Y, Z are object coordinates too. `table`: the
+    `constants` names the numbers each member has besides; those called X, Y, Z are object coordinates too. `angles`:
+    its components are angles, in radians here and in the angle unit of the block where a user reads them. `table`: the
     table of a block folder that holds its rows, where that has another name than the kind.
     """
 
@@ -44,6 +45,7 @@ class ObservationKind:
     residual: Callable[..., tuple[Scalar, ...]]
     in_object_system: bool = False
     constants: tuple[str, ...] = ()
+    angles: bool = False
     table: str = ""
 
     def __post_init__(self) -> None:

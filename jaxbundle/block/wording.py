@@ -5,6 +5,7 @@ from collections.abc import Sequence
 
 NAMED = 6  # names in one sentence; findings have all of them as subjects
 RADIANS = {"deg": math.pi / 180, "gon": math.pi / 200, "rad": 1.0}  # angle units of the user
+IMAGE = "image:"  # before the name of an image among the ends of an observation: its projection centre
 
 
 def named(names: Sequence[str], most: int = NAMED) -> str:

@@ -20,8 +20,8 @@ from jaxbundle.cli.runtime import finished
 from jaxbundle.diagnosis.adjusted import findings
 from jaxbundle.io import read
 from jaxbundle.numerics.devices import is_first_process
-from jaxbundle.report.columns import wrapped
 from jaxbundle.report.files import require_place, rescue, write_report
+from jaxbundle.report.text import wrapped
 from jaxbundle.solve.adjust import Progress, adjust
 from jaxbundle.solve.adjustment import Adjustment
 from jaxbundle.solve.checkpoint import CheckpointError, ClusterError

@@ -12,8 +12,8 @@ from jaxbundle.diagnosis.adjusted import findings
 from jaxbundle.io import write_block_folder
 from jaxbundle.planning.flight import AerialCamera
 from jaxbundle.planning.simulate import Simulation, simulate
-from jaxbundle.report.columns import aligned
 from jaxbundle.report.files import write_report
+from jaxbundle.report.text import aligned
 from jaxbundle.solve.adjust import adjust
 from jaxbundle.solve.adjustment import Adjustment
 

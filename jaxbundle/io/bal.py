@@ -26,6 +26,7 @@ from jaxbundle.block.problems import BlockError, Problem, shown
 from jaxbundle.camera.forward import BAL
 from jaxbundle.geometry import rotation
 from jaxbundle.geometry.rotation import OMEGA_PHI_KAPPA
+from jaxbundle.io.noted import measured_again
 from jaxbundle.io.ranges import (
     LARGEST_COEFFICIENT,
     LARGEST_IMAGE_COORDINATE,
@@ -34,7 +35,6 @@ from jaxbundle.io.ranges import (
     PRINCIPAL_DISTANCES,
     TURNS,
 )
-from jaxbundle.io.remarks import measured_again
 from jaxbundle.io.text import require_bytes
 from jaxbundle.numerics.host import on_device
 

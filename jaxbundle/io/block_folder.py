@@ -30,7 +30,8 @@ from jaxbundle.diagnosis.before import prepared
 from jaxbundle.geometry.rotation import ROTATION_SYSTEMS
 from jaxbundle.io.block_toml import FILE, BlockToml, read_block_toml
 from jaxbundle.io.fiducial_tables import with_inner_orientations
-from jaxbundle.io.folder_tables import FolderTables, KnownRows, RayRows, read_folder_tables
+from jaxbundle.io.folder_tables import FolderTables, RayRows, read_folder_tables
+from jaxbundle.io.known_tables import KnownRows
 from jaxbundle.io.noted import Noted, listed
 from jaxbundle.io.observation_groups import found_in, interior_groups, interior_values
 from jaxbundle.io.settings import CameraSection, DatumSection, Settings

@@ -14,13 +14,11 @@ from jaxbundle.block.problems import BlockError, Problem
 from jaxbundle.block.wording import RADIANS
 from jaxbundle.camera.model import CORRECTIONS
 from jaxbundle.camera.registry import CAMERA_MODELS, named_model
+from jaxbundle.io.block_tables import COORDINATES, TABLES, table_of_kind
 from jaxbundle.io.block_toml import FILE, write_block_toml
-from jaxbundle.io.control_columns import COVARIANCES, PLACES
-from jaxbundle.io.folder_tables import COORDINATES, SIGMAS
-from jaxbundle.io.navigation_writer import navigation_columns, navigation_problems, navigation_sections
+from jaxbundle.io.known_tables import COVARIANCES, PLACES
+from jaxbundle.io.navigation import navigation_columns, navigation_problems, navigation_sections
 from jaxbundle.io.observation_writer import (
-    FIGURE_KINDS,
-    PAIR_KINDS,
     Prior,
     observation_columns,
     observation_problems,
@@ -43,7 +41,7 @@ def write_block_folder(block: Block, path: str | Path) -> None:
     _require_writable(block)
     tables = {"images": _images(block), "rays": _rays(block), "points": _points(block)}
     tables |= {"control": _control(block), **navigation_columns(block), **observation_columns(block)}
-    tables = {kind: columns for kind, columns in tables.items() if len(next(iter(columns.values())))}
+    tables = {kind: tables[kind] for kind in TABLES if kind in tables and len(next(iter(tables[kind].values())))}
     folder = Path(path)
     folder.mkdir(parents=True, exist_ok=True)
     for kind, columns in tables.items():
@@ -59,8 +57,7 @@ def _require_writable(block: Block) -> None:
         GNSS,
         ATTITUDES[system],
         PARAMETERS,
-        *PAIR_KINDS,
-        *FIGURE_KINDS,
+        *table_of_kind(),
         *_interior_kinds(block),
     }
     kinds = [group.structure.kind for group in block.groups]
@@ -91,7 +88,7 @@ def _interior_kinds(block: Block) -> list[ObservationKind]:
 
 def _lost(block: Block) -> list[Problem]:
     """Parameters that no table brings along."""
-    known = {GNSS, *ATTITUDES.values(), *PAIR_KINDS, *FIGURE_KINDS}
+    known = {GNSS, *ATTITUDES.values(), *table_of_kind()}
     structures = [group.structure for group in block.groups if group.structure.kind in known]
     used = {
         int(p)
@@ -274,7 +271,7 @@ def _control(block: Block) -> Columns:
     return {
         "point": _named(structure.point_names, np.concatenate([points, structure.check_point])),
         **_coordinates(COORDINATES, np.concatenate([values, check.coordinates])),
-        **_coordinates(SIGMAS, np.concatenate([sigmas, check.sigmas])),
+        **_coordinates(("sX", "sY", "sZ"), np.concatenate([sigmas, check.sigmas])),
         "role": ["control"] * len(points) + ["check"] * len(structure.check_point),
         **together,
     }

@@ -15,15 +15,29 @@ from pydantic_core import ErrorDetails
 from jaxbundle.block.problems import is_hidden, shown
 from jaxbundle.block.wording import RADIANS
 from jaxbundle.geometry.rotation import OMEGA_PHI_KAPPA, ROTATION_SYSTEMS, RotationSystem
+from jaxbundle.io.block_tables import REQUIRED, TABLES
 from jaxbundle.io.noted import Noted, listed
-from jaxbundle.io.settings import Settings, TableNames
-from jaxbundle.io.settings_words import OF_NAMES, in_words
-from jaxbundle.io.tables import read_text
+from jaxbundle.io.settings import SECTIONS, Settings
+from jaxbundle.io.text import read_text
 
 FILE = "block.toml"
 LONGEST = 4_000_000  # characters: thousands of cameras
 MANY = 50  # problems of one block.toml that are told
 UNQUOTED = re.compile(r"([A-Za-z0-9_-]+)\s*=\s*([^\W\d][^\"'\[\]{}=#]*)")  # key = text without quotes
+OF_NAMES = ("cameras", "navigation")  # sections of which each has a name
+EXAMPLES = {
+    "format": "format = 1",
+    "units": '[units] object = "m", angle = "deg"',
+    "object": 'object = "m"',
+    "angle": 'angle = "deg"',
+    "rotation": '[rotation] system = "omega-phi-kappa"',
+    "system": 'system = "omega-phi-kappa"',
+    "cameras": '[cameras.NAME] image_unit = "px", principal_distance = 3000.0, principal_point = [2000.0, 1500.0]',
+    "image_unit": 'image_unit = "px"',
+    "principal_distance": "principal_distance = 50.0, in mm, or in px for a camera in px without pixel_size",
+    "image": "image = 0.5, in the unit of the rays",
+    "type": 'type = "inner"',
+}
 BARE_KEY = re.compile(r"[A-Za-z0-9_-]+")
 
 
@@ -40,8 +54,8 @@ class BlockToml:
         """File names of the tables, as far as they are given; the usual names where none is."""
         given = self.raw.get("tables")
         if not isinstance(given, dict) or not given:
-            given = {"images": "images.csv", "rays": "rays.csv"}
-        return {kind: file for kind, file in given.items() if kind in TableNames.model_fields and isinstance(file, str)}
+            given = {kind: TABLES[kind].file for kind in REQUIRED}
+        return {kind: file for kind, file in given.items() if kind in TABLES and isinstance(file, str)}
 
     @property
     def camera_names(self) -> tuple[str, ...] | None:
@@ -92,16 +106,69 @@ def read_block_toml(path: Path, noted: Noted) -> BlockToml:
         return BlockToml(Settings.model_validate(raw), raw, text)
     except ValidationError as error:
         alike: dict[tuple, list[ErrorDetails]] = {}
-        for detail in error.errors(include_url=False):
+        details = error.errors(include_url=False)
+        unknown = {detail["loc"][:-1] for detail in details if detail["loc"][-1] == "[key]"}
+        for detail in (detail for detail in details if detail["loc"] not in unknown):
             loc: tuple[int | str, ...] = detail["loc"]
             kind = loc[0], loc[2:], detail["msg"]  # the same in many sections
             alike.setdefault(kind if kind[0] in OF_NAMES and len(loc) > 2 else loc, []).append(detail)
         for first, *others in list(alike.values())[:MANY]:
             loc = tuple(str(part) for part in first["loc"])
-            what, cure = in_words(first, loc, path.parent)
+            what, cure = _in_words(first, loc, path.parent)
             also = f"; likewise {listed([str(other['loc'][1]) for other in others])}" if others else ""
             noted.add(path.name, _line(text, loc), what + also, cure)
         return BlockToml(None, raw, text)
+
+
+def _in_words(error: ErrorDetails, loc: tuple[str, ...], folder: Path) -> tuple[str, str]:
+    """A finding of pydantic as problem and cure; `folder` is that of the block."""
+    given, key = _given(error["input"]), loc[-1]
+    section = f"[{'.'.join(map(shown, loc[: 2 if loc[0] in OF_NAMES else 1]))}]"
+    where = " ".join((section, shown(loc[-1])) if len(loc) > 1 else loc)
+    match error["type"]:
+        case "problem":
+            context = error.get("ctx", {})
+            return f"{section} {context['what']}", context["cure"]
+        case "missing":
+            return _missing(where, loc, folder)
+        case "extra_forbidden":
+            known = (SECTIONS[loc[2] if len(loc) > 3 else loc[0]] if len(loc) > 1 else Settings).model_fields
+            return f"{where} is unknown", f"known here: {', '.join(known)}"
+        case "range":
+            bounds = error.get("ctx", {})
+            return (
+                f"{where} is {given}, not from {bounds['smallest']} to {bounds['largest']}",
+                "correct it, or its unit",
+            )
+        case "literal_error":
+            return f"{where} is {given}", f"give {error.get('ctx', {})['expected']}"
+        case "model_type" | "dict_type":
+            return f"{where} is not a section", f"write it as [{'.'.join(map(shown, loc))}] and its keys below"
+        case "list_type":
+            return f"{where} is {given}", f"give a list in brackets, such as {key} = [{given}]"
+        case "string_type":
+            return f"{where} is {given}", f'give a text in quotes, such as {key} = "{given}"'
+        case "float_type" | "int_type" | "float_parsing" | "int_from_float":
+            return f"{where} is {given}", "give a number, without quotes and without unit"
+        case "finite_number":
+            return f"{where} is {given}", "give a finite number"
+    return f"{where} is {given}", shown(error["msg"].replace("Input should", "it should"), 300)
+
+
+def _given(value: Any) -> str:
+    """A value of TOML as a message shows it."""
+    return shown(json.dumps(value, ensure_ascii=False, default=str))
+
+
+def _missing(where: str, loc: tuple[str, ...], folder: Path) -> tuple[str, str]:
+    name = loc[-1] if len(loc) != 1 else loc[0]
+    if loc == ("tables",):
+        there = [kind for kind, schema in TABLES.items() if (folder / schema.file).is_file()]
+        files = ", ".join(f'{kind} = "{TABLES[kind].file}"' for kind in there or REQUIRED)
+        return "[tables] is missing", f"add it and name the tables below it: [tables] {files}"
+    said = f"[{name}]" if len(loc) == 1 and name != "format" else where
+    example = EXAMPLES.get(name, "")
+    return f"{said} is missing", f"give it, such as {example}" if example else "give it"
 
 
 def _parsed(file: str, text: str, noted: Noted) -> dict[str, Any] | None:

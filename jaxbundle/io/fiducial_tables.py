@@ -11,9 +11,8 @@ from jaxbundle.camera.fiducials import PARAMETERS, FiducialError, InnerOrientati
 from jaxbundle.io.block_toml import FILE, BlockToml
 from jaxbundle.io.folder_tables import FIDUCIAL_TABLES, FolderTables, ImageRows, RayRows
 from jaxbundle.io.noted import Noted
-from jaxbundle.io.ranges import LARGEST_IMAGE_COORDINATE
 from jaxbundle.io.settings import CameraSection
-from jaxbundle.io.tables import GIVE, Table
+from jaxbundle.io.tables import Table
 
 Coordinates = Float[np.ndarray, "2"]
 
@@ -70,7 +69,7 @@ def _calibrated(table: Table, toml: BlockToml) -> dict[tuple[str, str], Coordina
             what = f"camera {camera} has no fiducials in {FILE}"
             table.note(cameras.index(camera), what, 'give it fiducials = "affine" there, or drop its rows')
     table.unique("camera", "fiducial")
-    coordinates = table.numbers("x", "y", needed=GIVE, largest=LARGEST_IMAGE_COORDINATE)
+    coordinates = table.numbers("x", "y")
     return dict(zip(zip(cameras, fiducials.to_list(), strict=True), coordinates, strict=True))
 
 
@@ -85,7 +84,7 @@ def _measured(
     image = table.positions("image", images.names, images.table.file)
     fiducials = table.names("fiducial").to_list()
     table.unique("image", "fiducial")
-    scan = table.numbers("x", "y", needed=GIVE, largest=LARGEST_IMAGE_COORDINATE)
+    scan = table.numbers("x", "y")
     target = np.full_like(scan, np.nan)
     missing: dict[tuple[str, str], list[int]] = {}
     for row in np.flatnonzero(image >= 0).tolist():

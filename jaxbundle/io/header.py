@@ -6,56 +6,13 @@ from collections.abc import Sequence
 from typing import NamedTuple
 
 from jaxbundle.block.problems import shown
+from jaxbundle.io.block_tables import OTHER_NAMES
 from jaxbundle.io.noted import Noted, listed
+from jaxbundle.io.schema import TableSchema
 
 SEPARATORS = {",": "comma", ";": "semicolon", "\t": "tab"}
 OTHERS = {"|": "'|'", " ": "blanks", ":": "':'"}  # told, not read
 MANY = 100  # columns: several times what any table has
-SYNONYMS = {
-    "image": (
-        "photo",
-        "picture",
-        "img",
-        "foto",
-        "bild",
-        "file",
-        "filename",
-        "photoid",
-        "imageid",
-        "imagename",
-        "label",
-    ),
-    "camera": ("cam", "kamera", "cameraid", "sensor"),
-    "point": ("pt", "id", "name", "no", "nr", "number", "pointid", "pointname", "punkt", "gcp", "marker", "label"),
-    "X0": ("e", "easting", "east", "x", "xo", "xc", "longitude", "rechts"),
-    "Y0": ("n", "northing", "north", "y", "yo", "yc", "latitude", "hoch"),
-    "Z0": ("h", "height", "z", "zo", "zc", "alt", "altitude", "elevation", "up", "hoehe"),
-    "X": ("e", "easting", "east", "x0", "longitude", "rechts"),
-    "Y": ("n", "northing", "north", "y0", "latitude", "hoch"),
-    "Z": ("h", "height", "z0", "alt", "altitude", "elevation", "up", "hoehe"),
-    "x": ("u", "col", "column", "px", "xpx", "imagex", "xi"),
-    "y": ("v", "row", "line", "py", "ypx", "imagey", "eta"),
-    "sX": ("sigmax", "sdx", "stdx", "se", "sigmae", "stde", "accuracyx", "mx"),
-    "sY": ("sigmay", "sdy", "stdy", "sn", "sigman", "stdn", "accuracyy", "my"),
-    "sZ": ("sigmaz", "sdz", "stdz", "sh", "su", "sigmah", "stdh", "accuracyz", "mz"),
-    "sx": ("sigmax", "sdx", "stdx", "su", "sigmau"),
-    "sy": ("sigmay", "sdy", "stdy", "sv", "sigmav"),
-    "omega": ("roll", "om", "w"),
-    "phi": ("pitch", "ph", "p"),
-    "kappa": ("yaw", "heading", "ka", "k"),
-    "sigma": ("sd", "std", "s", "accuracy"),
-    "role": ("type", "use", "kind", "status"),
-}
-APPROXIMATE = (
-    "give approximate values, as from GNSS, the flight plan or a map: some percent of the flying height are enough"
-)
-CURES = {
-    "camera": "add it, with the name of a camera of block.toml in each row",
-    "role": "add it, with control or check in each row",
-    "X0": APPROXIMATE,
-    "sX": "add them, in the object unit: 0 holds a coordinate, an empty field leaves it unobserved",
-    "sigma": "add it, the standard deviation in the unit of the values",
-}
 
 
 class Header(NamedTuple):
@@ -66,16 +23,14 @@ class Header(NamedTuple):
     line: int
 
 
-def read_header(file: str, text: str, columns: tuple[Sequence[str], Sequence[str]], noted: Noted) -> Header | None:
-    """The header of a table with needed and optional columns; None and one note where it is not that of such a table.
+def read_header(file: str, text: str, schema: TableSchema, noted: Noted) -> Header | None:
+    """The header of a table; None and one note where it is not that of such a table.
 
     It is the first line that is neither empty nor a comment, which begins with #.
     """
-    needed, optional = columns
-    known = (*needed, *optional)
     line, number = _first_line(text)
     found = {separator: _fields(line, separator) for separator in (*SEPARATORS, *OTHERS)}
-    score = {separator: len(set(known).intersection(fields)) for separator, fields in found.items()}
+    score = {separator: len(set(schema.names).intersection(fields)) for separator, fields in found.items()}
     best = max(score, key=lambda separator: score[separator])
     if not score[best]:  # not one column is known
         best = max(SEPARATORS, key=lambda separator: len(found[separator]))
@@ -83,7 +38,7 @@ def read_header(file: str, text: str, columns: tuple[Sequence[str], Sequence[str
         noted.add(file, number, f"the fields are separated by {OTHERS[best]}", "separate them by commas")
         return None
     best = best if best in SEPARATORS else ","
-    problem = _problem(found[best], needed, known, line)
+    problem = _problem(found[best], schema, line)
     if problem:
         noted.add(file, number, *problem)
         return None
@@ -114,8 +69,9 @@ def _fields(line: str, separator: str) -> list[str]:
     return [field.strip() for field in fields]
 
 
-def _problem(columns: list[str], needed: Sequence[str], known: Sequence[str], line: str) -> tuple[str, str] | None:
+def _problem(columns: list[str], schema: TableSchema, line: str) -> tuple[str, str] | None:
     """What is wrong with the columns of a header, and the cure."""
+    needed, known = schema.needed, schema.names
     if not line.strip():
         return "the table has no header", f"begin the table with its header: {','.join(needed)}"
     if len(columns) > MANY:
@@ -142,7 +98,7 @@ def _problem(columns: list[str], needed: Sequence[str], known: Sequence[str], li
         cure = f"{rename}; known: {', '.join(known)}"
     else:
         plain = "add it" if len(missing) == 1 else "add them"
-        cure = next((CURES[column] for column in missing if column in CURES), plain) if missing else plain
+        cure = next((cure for column in missing if (cure := schema.column(column).missing)), plain)
     return " and ".join(said), cure
 
 
@@ -156,7 +112,7 @@ def _meant(unknown: Sequence[str], missing: Sequence[str]) -> dict[str, str]:
     meant: dict[str, str] = {}
     for theirs in unknown:
         key = "".join(c for c in theirs.casefold() if c.isalnum())
-        alike = [ours for ours in missing if key in (ours.casefold(), *SYNONYMS.get(ours, ()))]
+        alike = [ours for ours in missing if key in (ours.casefold(), *OTHER_NAMES.get(ours, "").split())]
         free = [ours for ours in alike if ours not in meant.values()]
         if free and key:
             meant[theirs] = free[0]

@@ -3,11 +3,12 @@
 from collections.abc import Iterable, Sequence
 from dataclasses import dataclass, field
 
-from jaxbundle.block.findings import Finding
+from jaxbundle.block.findings import Finding, Kind, Severity, Subject
 from jaxbundle.block.problems import BlockError, Problem, shown
 
 FIRST_LINES = 3  # line numbers in one sentence
 LISTED = 10  # names in one sentence
+SUBJECTS = 1000  # of one finding
 
 
 @dataclass(frozen=True)
@@ -84,3 +85,18 @@ def listed(names: Sequence[str]) -> str:
     """Names in one sentence, the first few of them if they are many."""
     more = f" and {len(names) - LISTED} more" if len(names) > LISTED else ""
     return ", ".join(shown(name) for name in names[:LISTED]) + more
+
+
+def measured_again(rays: Sequence[tuple[str, str]]) -> Finding:
+    """A finding about rays, given by image and point, whose point an earlier ray of the same image has measured."""
+    subjects = tuple(Subject("rays", (image, point)) for image, point in rays[:SUBJECTS])
+    if len(rays) == 1:
+        image, point = rays[0]
+        what = f"point {listed([point])} is measured twice on image {listed([image])}; both are used as observations"
+    else:
+        points = listed(list(dict.fromkeys(point for _, point in rays)))
+        what = (
+            f"{len(rays)} rays measure a point again on the same image; all are used as observations: points {points}"
+        )
+    cure = "drop the wrong ones if each point was meant to be measured once"
+    return Finding(Kind.INFORMATION, what, cure, subjects, grade=Severity.CHECK)

@@ -7,10 +7,9 @@ sets of directions, planes and lines.
 from dataclasses import dataclass, field
 
 import numpy as np
+from jaxtyping import Int
 
 from jaxbundle.block.block import Owner, Parameter
-from jaxbundle.block.geodetic import ANGLES, FRAME, LINES, PLANES, geodetic_kind
-from jaxbundle.block.navigation import ATTITUDES, GNSS
 from jaxbundle.block.observations import (
     CONTROL,
     PARAMETERS,
@@ -21,17 +20,13 @@ from jaxbundle.block.observations import (
     observation_group,
 )
 from jaxbundle.block.wording import RADIANS
-from jaxbundle.geometry.rotation import ROTATION_SYSTEMS
 from jaxbundle.io.block_toml import BlockToml
-from jaxbundle.io.folder_tables import FolderTables, KnownRows
-from jaxbundle.io.navigation_tables import DRIFTS, KINDS, section_of
-from jaxbundle.io.observation_tables import PAIRS, FigureRows, PairRows
-from jaxbundle.io.settings import OF_ATTITUDES, CameraSection, Settings
-
-FRAME_NAMES = {"planes": ("a", "b", "d"), "lines": ("a", "b", "p", "q")}
-PREFIX = {"directions": "orientation of set ", "scale_bars": "length of bar "}
-ENDS = ("point", "image")
-PAIR_TYPES = ((False, False), (False, True), (True, False), (True, True))  # order of the groups of one table
+from jaxbundle.io.folder_tables import FolderTables
+from jaxbundle.io.known_tables import KnownRows
+from jaxbundle.io.navigation import SYSTEMATIC, axes_of, navigation_kind, parameter_name, section_of, unit_of
+from jaxbundle.io.observation_tables import ObservedRows, OwnerRows
+from jaxbundle.io.schema import Unit
+from jaxbundle.io.settings import CameraSection, Settings
 
 
 @dataclass
@@ -54,27 +49,20 @@ class Found:
 
 
 def found_in(tables: FolderTables, toml: BlockToml, settings: Settings) -> Found:
-    """All observations of the tables that are no rays, as far as there are any, and their parameters."""
+    """All observations of the tables except rays, and their parameters."""
     found = Found()
     if "control" in tables.known and len(tables.known["control"].members):
         found.groups.append(_coordinate_group(CONTROL, tables.known["control"]))
     _plain_stations(found, tables)
-    for kind in PAIRS:
-        if kind in tables.pairs:
-            _pairs(found, kind, tables.pairs[kind], tables, settings)
-    for kind, add in (("plumb_lines", _plumb_lines), ("planes", _on_figures), ("lines", _on_figures)):
-        if kind in tables.figures:
-            add(found, kind, tables.figures[kind], settings.units.object)
-    for kind in KINDS:
+    for rows in tables.observed.values():
+        owner = rows.table.schema.owner
+        _observations(found, rows, tables.owners.get(owner.table) if owner else None, settings)
+    for kind in SYSTEMATIC:
         _navigation(found, kind, tables, toml, settings)
     if found.priors:
-        numbers, values, sigmas = zip(*found.priors, strict=True)
-        found.groups.append(_column(PARAMETERS, np.array(numbers)[:, None], np.array(values), np.array(sigmas)))
+        numbers, values, sigmas = (np.array(column)[:, None] for column in zip(*found.priors, strict=True))
+        found.groups.append(observation_group(PARAMETERS, numbers, values, sigmas))
     return found
-
-
-def _column(kind: ObservationKind, indices: np.ndarray, values: np.ndarray, sigmas: np.ndarray) -> ObservationGroup:
-    return observation_group(kind, indices, np.asarray(values)[:, None], np.asarray(sigmas)[:, None])
 
 
 def _coordinate_group(kind: ObservationKind, rows: KnownRows, members: np.ndarray | None = None) -> ObservationGroup:
@@ -93,72 +81,59 @@ def _plain_stations(found: Found, tables: FolderTables) -> None:
             found.groups.append(_coordinate_group(STATIONS, rows, members))
 
 
-def _pairs(found: Found, kind: str, rows: PairRows, tables: FolderTables, settings: Settings) -> None:
-    """Observations between two ends: a group for each sort of ends."""
-    unit = settings.units.angle
-    factor = RADIANS[unit] if kind in ANGLES else 1.0
-    used = rows.usable & np.isfinite(rows.values).all(1)
-    owners: dict[int, int] = {}
-    for k in dict.fromkeys(sorted(rows.owner[used].tolist())) if kind in PREFIX else ():
-        name = PREFIX[kind] + rows.owners[k]
-        if kind == "directions":
-            owners[k] = found.add(Parameter(name, unit, angle=True, owner=Owner("sets", rows.owners[k])), np.nan)
-        else:
-            assert tables.bars is not None
-            length, sigma = float(tables.bars.lengths[k]), float(tables.bars.sigmas[k])
-            owners[k] = found.add(
-                Parameter(name, settings.units.object, sigma != 0, owner=Owner("bars", rows.owners[k])), length, sigma
-            )
-    for ends in PAIR_TYPES:
-        members = np.flatnonzero(used & (rows.is_image == ends).all(1))
-        if len(members):
-            indices = rows.indices[members]
-            if kind in PREFIX:
-                indices = np.c_[indices, [owners[k] for k in rows.owner[members].tolist()]]
-            observed = geodetic_kind(kind, *(ENDS[is_image] for is_image in ends))
-            values, sigmas = factor * rows.values[members], factor * rows.sigmas[members]
-            found.groups.append(observation_group(observed, indices, values, sigmas))
-
-
-def _plumb_lines(found: Found, kind: str, rows: FigureRows, unit: str) -> None:
-    """Every point against the first one of its line."""
-    pairs, sigmas = [], []
-    usable = np.flatnonzero(rows.usable)
-    order = usable[np.argsort(rows.figure[usable], kind="stable")]
-    starts = np.flatnonzero(np.diff(rows.figure[order], prepend=-1))
-    for members in np.split(order, starts[1:]) if len(order) else ():
-        first, *others = members.tolist()
-        pairs += [(rows.point[first], rows.point[row]) for row in others]
-        sigmas += [rows.sigmas[row] for row in others]
-    if pairs:
-        both = np.repeat(np.array(sigmas)[:, None], 2, 1)
-        found.groups.append(observation_group(geodetic_kind(kind), np.array(pairs), np.zeros_like(both), both))
-
-
-def _on_figures(found: Found, kind: str, rows: FigureRows, unit: str) -> None:
-    """Points on planes or lines, which are fitted once the points have coordinates."""
-    members = np.flatnonzero(rows.usable)
-    if not len(members):
-        return
-    units = {"a": "", "b": "", "d": unit, "p": unit, "q": unit}
-    numbers = {
-        k: [
-            found.add(
-                Parameter(f"{n} of {kind[:-1]} {rows.figures[k]}", units[n], owner=Owner(kind, rows.figures[k])), np.nan
-            )
-            for n in FRAME_NAMES[kind]
+def _observations(found: Found, rows: ObservedRows, owners: OwnerRows | None, settings: Settings) -> None:
+    """The observations of one table: a group for each sort of ends."""
+    schema, owner = rows.table.schema, rows.table.schema.owner
+    assert schema.kind is not None
+    factor = RADIANS[settings.units.angle] if schema.unit is Unit.ANGLE else 1.0
+    used = np.flatnonzero(rows.usable)
+    indices, is_image = rows.indices[used], rows.is_image[used]
+    if schema.from_first:
+        used, indices = _from_first(rows, used)
+        is_image = np.zeros_like(rows.is_image[used])
+    elif owner:
+        numbers = {
+            k: [_parameter(found, rows, k, which, owners, settings) for which in range(len(owner.parameters))]
+            for k in dict.fromkeys(sorted(rows.owner[used].tolist()))
+        }
+        indices = np.c_[
+            indices, np.array([numbers[k] for k in rows.owner[used].tolist()], int).reshape(-1, len(owner.parameters))
         ]
-        for k in dict.fromkeys(rows.figure[members].tolist())
-    }
-    observed = PLANES if kind == "planes" else LINES
-    indices = np.array([[rows.point[row], *numbers[rows.figure[row]]] for row in members.tolist()])
-    sigmas = np.repeat(rows.sigmas[members, None], len(observed.components), 1)
-    frames = np.full((len(members), len(FRAME)), np.nan)
-    found.groups.append(observation_group(observed, indices, np.zeros_like(sigmas), sigmas, frames))
+    for ends in schema.ends():
+        members = np.flatnonzero((is_image == [end == "image" for end in ends]).all(1))
+        if len(members):
+            kind = schema.kind(*ends)
+            values, sigmas = factor * rows.values[used[members]], factor * rows.sigmas[used[members]]
+            constants = np.full((len(members), len(kind.constants)), np.nan)
+            found.groups.append(observation_group(kind, indices[members], values, sigmas, constants))
+
+
+def _from_first(rows: ObservedRows, used: np.ndarray) -> tuple[Int[np.ndarray, " row"], Int[np.ndarray, "row 2"]]:
+    """The rows behind the first of each owner, owner by owner, and the points of the first row and their own."""
+    order = used[np.argsort(rows.owner[used], kind="stable")]
+    starts = np.diff(rows.owner[order], prepend=-1) != 0
+    first = order[np.flatnonzero(starts)[np.cumsum(starts) - 1]] if len(order) else order
+    points = rows.indices[:, 0]
+    return order[~starts], np.c_[points[first], points[order]][~starts]
+
+
+def _parameter(
+    found: Found, rows: ObservedRows, owner: int, which: int, owners: OwnerRows | None, settings: Settings
+) -> int:
+    """The number of one of the parameters of an owner; its value is NaN where no table gives it."""
+    schema = rows.table.schema
+    assert schema.owner is not None
+    called, quantity = schema.owner.parameters[which]
+    angle = quantity is Unit.ANGLE
+    unit = {Unit.ANGLE: settings.units.angle, Unit.OBJECT: settings.units.object}.get(quantity, "")
+    value, sigma = (float(owners.values[owner]), float(owners.sigmas[owner])) if owners else (np.nan, np.nan)
+    name = schema.prefix(called) + rows.owners[owner]
+    whose = Owner(f"{schema.owner_column}s", rows.owners[owner])
+    return found.add(Parameter(name, unit, sigma != 0, angle, whose), value, sigma)
 
 
 def _navigation(found: Found, kind: str, tables: FolderTables, toml: BlockToml, settings: Settings) -> None:
-    """Stations of groups, or attitudes: nine parameters a group, of which a few are unknown."""
+    """Stations of groups, or attitudes: nine parameters for each group, of which a few are unknown."""
     if kind not in tables.known:
         return
     known, rows = tables.known[kind], tables.navigation.rows[kind]
@@ -166,44 +141,32 @@ def _navigation(found: Found, kind: str, tables: FolderTables, toml: BlockToml, 
     members = members if kind == "attitudes" else members[rows.group[members] >= 0]
     if not len(members):
         return
-    angles = kind == "attitudes"
-    factor = RADIANS[settings.units.angle] if angles else 1.0
-    axes = settings.rotation.system
     numbers = {
         k: _navigation_parameters(found, kind, tables.navigation.names[k] if k >= 0 else "", toml, settings)
         for k in dict.fromkeys(sorted(rows.group[members].tolist()))
     }
+    factor, _ = unit_of(kind, settings.units.object, settings.units.angle)
     indices = np.array([[known.position[row], *numbers[rows.group[row]]] for row in members.tolist()])
     values = factor * np.where(known.observed, known.coordinates, np.nan)[members]
     sigmas, times = factor * known.sigmas[members], rows.time[members, None]
-    found.groups.append(observation_group(ATTITUDES[axes] if angles else GNSS, indices, values, sigmas, times))
+    observed = navigation_kind(kind, settings.rotation.system)
+    found.groups.append(observation_group(observed, indices, values, sigmas, times))
 
 
 def _navigation_parameters(found: Found, kind: str, name: str, toml: BlockToml, settings: Settings) -> list[int]:
     """Numbers of the nine parameters of one group."""
     section, numbers = section_of(toml, name), []
     owner = Owner("navigation", name) if name else None
-    angles = kind == "attitudes"
-    factor = RADIANS[settings.units.angle] if angles else 1.0
-    for vector in KINDS[kind]:
-        unit = (settings.units.angle if angles else settings.units.object) + ("/t" if vector in DRIFTS else "")
+    factor, unit = unit_of(kind, settings.units.object, settings.units.angle)
+    for vector in SYSTEMATIC[kind]:
         sigma = factor * (section.priors or {}).get(vector, np.nan)
         values = getattr(section, vector) or [0.0] * 3
-        for axis, value in zip(axes_of(vector, settings.rotation.system), values, strict=True):
-            whole = parameter_name(vector, axis, name)
-            parameter = Parameter(whole, unit, vector in section.estimate, angles, owner)
+        for axis, value in zip(axes_of(kind, settings.rotation.system), values, strict=True):
+            of_time = "/t" if vector.endswith("drift") else ""
+            free, angle = vector in section.estimate, kind == "attitudes"
+            parameter = Parameter(parameter_name(vector, axis, name), unit + of_time, free, angle, owner)
             numbers.append(found.add(parameter, factor * value, sigma))
     return numbers
-
-
-def axes_of(vector: str, system: str) -> tuple[str, ...]:
-    """The components of a systematic error: coordinates or angles."""
-    return ROTATION_SYSTEMS[system].angles if vector in OF_ATTITUDES else ("X", "Y", "Z")
-
-
-def parameter_name(vector: str, axis: str, group: str) -> str:
-    """Such as "shift X of strip 1"."""
-    return f"{vector} {axis}{f' of {group}' if group else ''}"
 
 
 def interior_groups(sections: list[CameraSection]) -> list[ObservationGroup]:
@@ -212,14 +175,10 @@ def interior_groups(sections: list[CameraSection]) -> list[ObservationGroup]:
     for model in dict.fromkeys(section.model for section in sections if section.priors):
         members = [k for k, section in enumerate(sections) if section.model is model and section.priors]
         sigmas = np.array([[(sections[k].priors or {}).get(e, np.nan) for e in model.elements] for k in members])
-        values = np.array([[_element(sections[k], e) for e in model.elements] for k in members])
+        values = np.array([[interior_values(sections[k]).get(e, 0.0) for e in model.elements] for k in members])
         kind = interior_priors(model.elements)
         groups.append(observation_group(kind, np.array(members)[:, None], values, sigmas))
     return groups
-
-
-def _element(section: CameraSection, name: str) -> float:
-    return interior_values(section).get(name, 0.0)
 
 
 def interior_values(section: CameraSection) -> dict[str, float]:

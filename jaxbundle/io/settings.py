@@ -1,8 +1,8 @@
-"""What block.toml says: units, rotation system, cameras, navigation, datum and the names of a block folder's tables."""
+"""What block.toml says: units, rotation system, cameras, navigation, datum and the files of a block folder's tables."""
 
 from typing import Annotated, Any, Literal, TypeVar
 
-from pydantic import BaseModel, ConfigDict, Field, field_validator
+from pydantic import AfterValidator, BaseModel, ConfigDict, Field, field_validator
 
 from jaxbundle.block.problems import shown
 from jaxbundle.camera.additional_parameters import GRID_SHARE
@@ -11,8 +11,9 @@ from jaxbundle.camera.fiducials import PARAMETERS
 from jaxbundle.camera.model import CameraModel
 from jaxbundle.camera.registry import CAMERA_MODELS
 from jaxbundle.geometry.rotation import ROTATION_SYSTEMS
+from jaxbundle.io.block_tables import REQUIRED, TABLES
 from jaxbundle.io.near_names import nearest
-from jaxbundle.io.setting_types import (
+from jaxbundle.io.ranges import (
     AnyCase,
     Coefficient,
     Length,
@@ -28,8 +29,7 @@ from jaxbundle.io.setting_types import (
 )
 
 WITH_KEYS = ("principal_distance", "x0", "y0", "pixel_size", "y_axis")  # interior elements that are no coefficients
-OF_STATIONS = ("lever_arm", "shift", "drift")
-OF_ATTITUDES = ("boresight", "attitude_shift", "attitude_drift")
+SYSTEMATIC = tuple(name for schema in TABLES.values() for name in schema.systematic)
 DATUMS = ("fixed", "minimal", "inner")
 OTHER_NAMES = {  # of interior elements in other programs
     **dict.fromkeys(("f", "fx", "fy", "c", "focal", "focal_length"), "principal_distance"),
@@ -257,9 +257,9 @@ class NavigationSection(Section):
     @field_validator("estimate")
     @classmethod
     def _known(cls, names: list[str]) -> list[str]:
-        unknown = [name for name in names if name not in (*OF_STATIONS, *OF_ATTITUDES)]
+        unknown = [name for name in names if name not in SYSTEMATIC]
         if unknown:
-            cure = f"known: {', '.join((*OF_STATIONS, *OF_ATTITUDES))}"
+            cure = f"known: {', '.join(SYSTEMATIC)}"
             raise problem(f"what is to be estimated, {', '.join(unknown)}, is unknown", cure)
         return names
 
@@ -334,28 +334,10 @@ class DatumSection(Section):
         return names
 
 
-class TableNames(Section):
-    """File names of the tables."""
-
-    images: str
-    rays: str
-    points: str | None = None
-    control: str | None = None
-    stations: str | None = None
-    attitudes: str | None = None
-    distances: str | None = None
-    horizontal_distances: str | None = None
-    height_differences: str | None = None
-    azimuths: str | None = None
-    directions: str | None = None
-    zenith_angles: str | None = None
-    scale_bars: str | None = None
-    bars: str | None = None
-    plumb_lines: str | None = None
-    planes: str | None = None
-    lines: str | None = None
-    fiducials: str | None = None
-    fiducial_rays: str | None = None
+def _known_table(name: str) -> str:
+    if name not in TABLES:
+        raise problem(f"{shown(name)} is unknown", f"known here: {', '.join(TABLES)}")
+    return name
 
 
 class Settings(Section):
@@ -371,7 +353,18 @@ class Settings(Section):
     sigma: SigmaSection | None = None
     identification: dict[str, Sigma] | None = None
     datum: DatumSection | None = None
-    tables: TableNames
+    tables: dict[Annotated[str, AfterValidator(_known_table)], str]
+
+    @field_validator("tables")
+    @classmethod
+    def _complete(cls, files: dict[str, str]) -> dict[str, str]:
+        missing = [name for name in REQUIRED if name not in files]
+        if missing:
+            files = {name: TABLES[name].file for name in missing}
+            what, them = ("is missing", "it") if len(missing) == 1 else ("are missing", "them")
+            such = ", ".join(f'{name} = "{file}"' for name, file in files.items())
+            raise problem(f"{' and '.join(missing)} {what}", f"give {them}, such as {such}")
+        return files
 
 
 SECTIONS: dict[str, type[Section]] = {
@@ -382,5 +375,4 @@ SECTIONS: dict[str, type[Section]] = {
     "navigation": NavigationSection,
     "sigma": SigmaSection,
     "datum": DatumSection,
-    "tables": TableNames,
 }

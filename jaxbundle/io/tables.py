@@ -7,7 +7,7 @@ them is noted in the user's words, with file and line, one note for all rows of 
 
 import csv
 import io
-from collections.abc import Callable, Sequence
+from collections.abc import Callable, Mapping, Sequence
 from dataclasses import dataclass
 from pathlib import Path
 
@@ -19,15 +19,16 @@ from jaxbundle.block.problems import is_hidden, shown
 from jaxbundle.io.header import Header, read_header
 from jaxbundle.io.near_names import Match, nearest
 from jaxbundle.io.noted import Noted
-from jaxbundle.io.ranges import LARGEST_LENGTH, LARGEST_SIGMA, NOTHING, SMALLEST_SIGMA
+from jaxbundle.io.ranges import NOTHING, SMALLEST_SIGMA
+from jaxbundle.io.schema import Column, TableSchema
 from jaxbundle.io.text import read_text
 
-Columns = dict[str, list[str] | Float[np.ndarray, " row"]]
+Columns = Mapping[str, Sequence[str] | pl.Series | Float[np.ndarray, " row"]]
+Rows = Sequence[int] | Int[np.ndarray, " row"]
 Words = str | Callable[[int], str]  # of a row, or of each row by its number
 
 ROW = 120  # characters of a row in a message
 LISTED_UNKNOWN = 1000  # unknown names that are compared with the known ones: enough to see what they have in common
-GIVE = "give a number or drop the row"
 DECIMAL_COMMA = r"^[+-]?\d*,\d+(?:[eE][+-]?\d+)?$"
 THOUSANDS = (
     r"^[+-]?(?:\d+(?:['\u2019\u00a0\u202f _]\d+)+(?:[.,]\d*)?"
@@ -45,27 +46,29 @@ NOT_A_NUMBER = (  # forms of what is no number, with their cures
 class Table:
     """A table as text, blanks stripped, "" where nothing is given; `lines` are the lines of its rows in the file.
 
-    `subject` says what a row is about, with the names of columns in braces: "point {point} on image {image}".
+    `half_turn` is that of the angle unit.
     """
 
     file: str
-    subject: str
+    schema: TableSchema
     text: pl.DataFrame
     lines: Int[np.ndarray, " row"]
     noted: Noted
-    separator: str = ","
+    separator: str
+    half_turn: float
 
-    def note(self, rows: int | Sequence[int] | Int[np.ndarray, " row"], what: Words, cure: str) -> None:
+    def note(self, rows: int | Rows, what: Words, cure: str) -> None:
         """Notes what is wrong with one row, or with several for the same cause; nothing if there are none."""
         numbers = np.atleast_1d(np.asarray(rows, int))
         if not len(numbers):
             return
         first = int(numbers[0])
         fields = {column: shown(text) for column, text in self.text.row(first, named=True).items()}
-        named = [column for column in fields if f"{{{column}}}" in self.subject]
+        subject = self.schema.subject
+        named = [column for column in fields if f"{{{column}}}" in subject]
         for column in named:
             self.noted.touched.update(self.text[column].gather(numbers).unique())
-        told = f"{self.subject.format(**fields)}: {what if isinstance(what, str) else what(first)}"
+        told = f"{subject.format(**fields)}: {what if isinstance(what, str) else what(first)}"
         self.noted.add_rows(self.file, self.lines[numbers].tolist(), told, cure)
 
     def column(self, column: str) -> pl.Series:
@@ -117,31 +120,41 @@ class Table:
         again = first.filter(pl.col("row") != pl.col("first"))
         return again["row"].to_numpy().astype(int), again["first"].to_numpy().astype(int)
 
-    def numbers(
-        self, *columns: str, needed: str = "", largest: float | Sequence[float] = LARGEST_LENGTH
-    ) -> Float[np.ndarray, "row column"]:
-        """Columns of numbers; NaN where a field is empty, and where it is no number of a possible size, which is noted.
+    def numbers(self, *columns: str, spared: Rows = ()) -> Float[np.ndarray, "row column"]:
+        """Columns of numbers; NaN where a field is empty, and where it is not a number of a possible size.
 
-        `needed`: the cure of an empty field, "" where a field may be empty.
+        What the schema does not allow is noted, but not that fields of the rows in `spared` are empty.
         """
         texts = [self._decimal_point(self.column(column), columns) for column in columns]
-        read = [text.cast(pl.Float64, strict=False).fill_null(np.nan).to_numpy() for text in texts]
-        values = np.stack(read, 1) if read else np.zeros((len(self.lines), 0))
+        values = np.stack([text.cast(pl.Float64, strict=False).fill_null(np.nan).to_numpy() for text in texts], 1)
         given = np.stack([(text != "").to_numpy() for text in texts], 1)
         self._note_unreadable(columns, given & ~np.isfinite(values))
         size = np.abs(values)
         nothing = size < NOTHING
         if nothing.any():
             nothing &= np.stack([text.str.contains(NOT_NOTHING).to_numpy() for text in texts], 1)
-        finite, limits = np.isfinite(values), np.broadcast_to(largest, len(columns))
-        large = finite & (size > limits)
+        described = [self.schema.column(column) for column in columns]
+        finite, limits = np.isfinite(values), [column.maximum(self.half_turn) for column in described]
+        large = finite & (size > np.array(limits))
         self._note_fields(columns, large, [f"larger than {limit:g}" for limit in limits], "correct it, or its unit")
         self._note_fields(columns, nothing, ["too small to be meant"] * len(columns), "give 0, or correct it")
         finite &= ~large & ~nothing
-        if needed:
-            rows = np.flatnonzero(~given.all(1))
-            self.note(rows, lambda row: _not_given(columns, ~given[row]), needed)
-        return np.where(finite, values, np.nan)
+        needed = described[0].empty
+        rows = np.setdiff1d(np.flatnonzero(~given.all(1)), spared) if needed else ()
+        self.note(rows, lambda row: _not_given(columns, ~given[row]), needed)
+        values = np.where(finite, values, np.nan)
+        for k, column in enumerate(described):
+            self._note_range(column, values[:, k])
+        return values
+
+    def _note_range(self, column: Column, values: Float[np.ndarray, " row"]) -> None:
+        """Notes numbers of one column that are not positive, or no zenith angles of the first face."""
+        called = self.schema.row if self.schema.plain else column.name
+        if column.positive:
+            self.note(np.flatnonzero(values <= 0), f"the {called} is not positive", column.positive)
+        if column.first_face:
+            outside = np.flatnonzero((values <= 0) | (values >= self.half_turn))
+            self.note(outside, f"the {called} is not between 0 and {self.half_turn:g}", column.first_face)
 
     def _decimal_point(self, text: pl.Series, columns: Sequence[str]) -> pl.Series:
         """The text of numbers with decimal points, where commas are certain to be decimal ones."""
@@ -171,12 +184,11 @@ class Table:
 
         self.note(np.flatnonzero(wrong.any(1)), words, cure)
 
-    def sigmas(
-        self, *columns: str, zero: str = "", needed: str = "", largest: float = LARGEST_SIGMA
-    ) -> Float[np.ndarray, "row column"]:
-        """Columns of standard deviations; `zero` tells the cure of a sigma that is 0, "" allows it."""
-        values = self.numbers(*columns, needed=needed, largest=largest)
+    def sigmas(self, *columns: str, spared: Rows = ()) -> Float[np.ndarray, "row column"]:
+        """Columns of standard deviations; `spared` as for `numbers`."""
+        values = self.numbers(*columns, spared=spared)
         small = (values > 0) & (values < SMALLEST_SIGMA)
+        zero = self.schema.column(columns[0]).zero
         for wrong, what, cure in (
             (np.signbit(values) & ~np.isnan(values), "negative", "give a positive one"),
             (small, f"smaller than {SMALLEST_SIGMA:g}", "correct it, or its unit"),
@@ -211,8 +223,8 @@ def near(unknown: Sequence[str], known: Sequence[str]) -> Match | None:
     return nearest(unknown[:LISTED_UNKNOWN], known)
 
 
-def read_table(path: Path, subject: str, needed: Sequence[str], optional: Sequence[str], noted: Noted) -> Table | None:
-    """A table with these columns, in any order; None and notes where it cannot be read as one.
+def read_table(path: Path, schema: TableSchema, noted: Noted, half_turn: float = 180.0) -> Table | None:
+    """A table with the columns of a schema, in any order; None and notes where it cannot be read as one.
 
     Rows with a wrong number of fields are noted and left out; lines without any field are passed over.
     """
@@ -223,7 +235,7 @@ def read_table(path: Path, subject: str, needed: Sequence[str], optional: Sequen
     if not text.strip():
         noted.add(name, 0, "the file is empty", "fill it, or drop it and its entry in [tables]")
         return None
-    header = read_header(name, text, (needed, optional), noted)
+    header = read_header(name, text, schema, noted)
     if header is None:
         return None
     wrong = len(noted.found)
@@ -236,7 +248,7 @@ def read_table(path: Path, subject: str, needed: Sequence[str], optional: Sequen
         if len(noted.found) == wrong:
             noted.add(name, 0, "the table has no rows", "fill it, or drop it and its entry in [tables]")
         return None
-    return Table(name, subject, frame, lines, noted, header.separator)
+    return Table(name, schema, frame, lines, noted, header.separator, half_turn)
 
 
 def _wrong_fields(file: str, rows: list[tuple[int, list[str]]], header: Header, noted: Noted) -> None:

@@ -11,13 +11,13 @@ import numpy as np
 from jaxtyping import Int
 
 from jaxbundle.block.findings import Finding, Kind, Severity, Subject
+from jaxbundle.io.block_tables import REQUIRED, TABLES
 from jaxbundle.io.block_toml import FILE, BlockToml
-from jaxbundle.io.control_columns import OPTIONAL
-from jaxbundle.io.folder_tables import COORDINATES, SIGMAS, USUAL_FILES, FolderTables, KnownRows
+from jaxbundle.io.folder_tables import FolderTables
+from jaxbundle.io.known_tables import KnownRows
 from jaxbundle.io.near_names import Match, slip
-from jaxbundle.io.noted import Noted, listed
+from jaxbundle.io.noted import SUBJECTS, Noted, listed
 from jaxbundle.io.observation_tables import unused as unused_names
-from jaxbundle.io.remarks import SUBJECTS
 from jaxbundle.io.settings import Settings
 from jaxbundle.io.tables import near, read_table
 
@@ -38,9 +38,10 @@ def unused(
     found += _approximate(tables)
     names = [name for name in settings.cameras if name not in tables.images.camera]
     notes = [f"camera {listed([name])} has no image and takes no part" for name in names]
-    if tables.bars:
-        used = tables.pairs["scale_bars"].owner.tolist() if "scale_bars" in tables.pairs else ()
-        notes += unused_names(tables.bars.names, used, "bar")
+    for kind, owners in tables.owners.items():
+        users = [rows for rows in tables.observed.values() if (of := rows.table.schema.owner) and of.table == kind]
+        used = [k for rows in users for k in rows.owner.tolist()]
+        notes += unused_names(owners.names, used, TABLES[kind].row)
     groups = tables.navigation
     notes += unused_names(
         groups.names, {int(k) for rows in groups.rows.values() for k in rows.group}, "navigation group"
@@ -165,9 +166,9 @@ def _files(folder: Path, toml: BlockToml, settings: Settings, tables: FolderTabl
     """Tables that are there and not named in [tables]."""
     located = any(len(_takes_part(tables.known[kind])) for kind in DATUM if kind in tables.known)
     found = []
-    for file in USUAL_FILES:
-        kind = file.removesuffix(".csv")
-        if file in toml.tables.values() or not (folder / file).exists():
+    for kind, schema in TABLES.items():
+        file = schema.file
+        if kind in REQUIRED or file in toml.tables.values() or not (folder / file).exists():
             continue
         what, cure = f"{file} is not named in [tables] of {FILE} and takes no part", f'add {kind} = "{file}" there'
         if kind not in DATUM or kind in toml.tables:
@@ -183,5 +184,5 @@ def _files(folder: Path, toml: BlockToml, settings: Settings, tables: FolderTabl
 
 def _names_in(path: Path) -> list[str]:
     """The points that a table of control names, as far as it can be read."""
-    table = read_table(path, "", ("point",), (*COORDINATES, *SIGMAS, "role", *OPTIONAL), Noted())
+    table = read_table(path, TABLES["control"].only(("point",)), Noted())
     return table.text["point"].to_list() if table else []

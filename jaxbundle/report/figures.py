@@ -12,7 +12,7 @@ from jaxbundle.block.wording import RADIANS
 from jaxbundle.diagnosis.adjusted import findings
 from jaxbundle.report.group_tables import GroupTable, group_tables
 from jaxbundle.solve.adjustment import DOWN_WEIGHTED, Adjustment
-from jaxbundle.statistics.reliability import reliability
+from jaxbundle.statistics.reliability import Reliability, reliability
 from jaxbundle.statistics.significance import parameter_ratios
 
 
@@ -39,7 +39,7 @@ class Figures:
     residuals: tuple[Float[np.ndarray, "_member _component"], ...]
     normalised: tuple[Float[np.ndarray, "_member _component"], ...]
     tables: list[GroupTable]
-    ray_w: Float[np.ndarray, "ray 2"] | None
+    reliability: Reliability | None
     findings: tuple[Finding, ...]
     rays_of_point: Int[np.ndarray, " point"]
     rays_of_image: Int[np.ndarray, " image"]
@@ -60,6 +60,11 @@ class Figures:
         return control
 
     @property
+    def camera_names(self) -> tuple[str, ...]:
+        """Names of the cameras."""
+        return tuple(camera.name for camera in self.structure.cameras)
+
+    @property
     def groups(self) -> tuple[ObservationGroup, ...]:
         """Observations that are no rays."""
         return self.adjustment.block.groups
@@ -67,7 +72,7 @@ class Figures:
     @property
     def ray_size(self) -> Float[np.ndarray, " ray"]:
         """The larger of a ray's two |w| / sigma0, or |v| / (sigma0 sigma) where there is no w; 0 for sigma0 = 0."""
-        size = np.abs(self.normalised[0] if self.ray_w is None else self.ray_w).max(1, initial=0.0)
+        size = np.abs(self.normalised[0] if self.reliability is None else self.reliability.w[0]).max(1, initial=0.0)
         return size / self.sigma0 if self.sigma0 > 0 else np.zeros_like(size)
 
     @property
@@ -103,15 +108,6 @@ class Figures:
         return pairs
 
 
-def _reliability(adjustment: Adjustment) -> tuple[tuple[np.ndarray, ...], tuple[np.ndarray, ...]]:
-    """Redundancy numbers and standardised residuals of the groups, NaN where there are none."""
-    if adjustment.redundancy_numbers is None:
-        nothing = tuple(np.full(v.shape, np.nan) for v in adjustment.residuals[1:])
-        return nothing, nothing
-    found = reliability(adjustment)
-    return found.redundancy_numbers[1:], found.w[1:]
-
-
 def figures_of(adjustment: Adjustment, found: tuple[Finding, ...] | None = None) -> Figures:
     """The numbers of a concrete adjustment, and what was `found`; if None, it is looked for."""
     block, structure = adjustment.block, adjustment.block.structure
@@ -119,6 +115,9 @@ def figures_of(adjustment: Adjustment, found: tuple[Finding, ...] | None = None)
     is_angle = np.array([parameter.angle for parameter in structure.parameters], bool)
     parameter_unit = np.where(is_angle, to_unit[3], 1.0)
     exterior_sd, interior_sd, parameters_sd, points_sd = _standard_deviations(adjustment)
+    found_reliability = None if adjustment.redundancy_numbers is None else reliability(adjustment)
+    nothing = tuple(np.full(v.shape, np.nan) for v in adjustment.residuals)
+    r, w = found_reliability[:2] if found_reliability else (nothing, nothing)
     residuals = tuple(np.asarray(v) for v in adjustment.residuals)
     normalised = tuple(np.asarray(v) for v in adjustment.weighted_residuals)
     exterior = np.hstack([block.exterior.projection_centre, block.exterior.angles])
@@ -138,8 +137,8 @@ def figures_of(adjustment: Adjustment, found: tuple[Finding, ...] | None = None)
         np.asarray(adjustment.check_differences),
         residuals,
         normalised,
-        group_tables(block, residuals[1:], normalised[1:], *_reliability(adjustment)),
-        None if adjustment.redundancy_numbers is None else reliability(adjustment).w[0],
+        group_tables(block, residuals[1:], normalised[1:], r[1:], w[1:]),
+        found_reliability,
         findings(adjustment) if found is None else found,
         np.bincount(structure.ray_point, minlength=len(structure.point_names)),
         np.bincount(structure.ray_image, minlength=len(structure.image_names)),

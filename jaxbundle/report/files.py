@@ -3,23 +3,25 @@
 There is never a half-written result: see `folder`. What no adjustment wrote stays in the folder.
 """
 
-import json
 import tempfile
+from contextlib import suppress
 from pathlib import Path
 from typing import Any
 
 import jax
 import numpy as np
+import polars as pl
 
 from jaxbundle.block.block import Block
 from jaxbundle.block.findings import Finding
 from jaxbundle.block.given import require_a
-from jaxbundle.io.tables import write_table
+from jaxbundle.io.tables import Columns, write_table
+from jaxbundle.report.data import dict_of, json_text
 from jaxbundle.report.figures import figures_of
 from jaxbundle.report.folder import DATA, TEXT, replaced, require_writable
 from jaxbundle.report.group_tables import table_names
-from jaxbundle.report.result_tables import tables_of
-from jaxbundle.report.tables import dict_of
+from jaxbundle.report.section import Picked, ReportTable, Section
+from jaxbundle.report.sections import sections_of
 from jaxbundle.report.text import text_of
 from jaxbundle.solve.adjustment import Adjustment
 
@@ -44,11 +46,12 @@ def write_report(adjustment: Adjustment, folder: str | Path, found: tuple[Findin
     require_place(target, adjustment.block, robust)
     with np.errstate(all="ignore"):  # what overflows or is not known is empty in the tables
         figures = figures_of(adjustment, found)
+        sections = [section() for section in sections_of(figures)]
         with replaced(target, names) as place:
-            for name, table in tables_of(figures).items():
-                write_table(place / name, table(figures))
-            (place / DATA).write_text(_json({**dict_of(figures), "files": names}), encoding="utf-8")
-            (place / TEXT).write_text(text_of(figures), encoding="utf-8")
+            for table in (table for section in sections for table in tables_of(section)):
+                write_table(place / f"{table.name}.csv", columns_of(table))
+            (place / DATA).write_text(json_text({**dict_of(figures, sections), "files": names}), encoding="utf-8")
+            (place / TEXT).write_text(text_of(figures, sections), encoding="utf-8")
     return target
 
 
@@ -105,26 +108,27 @@ def rescue(adjustment: Adjustment, found: tuple[Finding, ...] | None = None) -> 
 def _write_possible(adjustment: Adjustment, folder: Path) -> None:
     """Those tables that can be made."""
     try:
-        figures = figures_of(adjustment, ())
-        tables = tables_of(figures)
+        sections = sections_of(figures_of(adjustment, ()))
     except Exception:
         return
-    for name, table in tables.items():
-        try:
-            write_table(folder / name, table(figures))
-        except Exception:
-            (folder / name).unlink(missing_ok=True)
+    for section in sections:
+        with suppress(Exception):
+            for table in tables_of(section()):
+                try:
+                    write_table(folder / f"{table.name}.csv", columns_of(table))
+                except Exception:
+                    (folder / f"{table.name}.csv").unlink(missing_ok=True)
 
 
-def _json(report: dict[str, Any]) -> str:
-    """JSON with one line for each image, point and camera."""
-    entries = []
-    for key, value in report.items():
-        if isinstance(value, dict) and any(isinstance(item, dict) for item in value.values()):
-            lines = ",\n".join(
-                f"  {json.dumps(name)}: {json.dumps(item, allow_nan=False)}" for name, item in value.items()
-            )
-            entries.append(f" {json.dumps(key)}: {{\n{lines}\n }}")
-        else:
-            entries.append(f" {json.dumps(key)}: {json.dumps(value, allow_nan=False)}")
-    return "{\n" + ",\n".join(entries) + "\n}\n"
+def tables_of(section: Section) -> list[ReportTable]:
+    """The tables of a section that have a file."""
+    return [part for part in section.parts if isinstance(part, ReportTable) and part.in_file]
+
+
+def columns_of(table: ReportTable) -> Columns:
+    """The columns of a table's file."""
+    columns = {column.name: column.values for column in table.columns if column.in_file}
+    return {
+        name: pl.Series(values.names, dtype=pl.String)[values.index] if isinstance(values, Picked) else values
+        for name, values in columns.items()
+    }

@@ -7,11 +7,8 @@ import numpy as np
 from jaxtyping import Float
 
 from jaxbundle.block.block import Block, Parameter, Structure
-from jaxbundle.block.geodetic import ANGLES
-from jaxbundle.block.navigation import ATTITUDES
 from jaxbundle.block.observations import PARAMETERS, ObservationGroup, ObservationKind
-from jaxbundle.block.wording import RADIANS
-from jaxbundle.io.observation_tables import IMAGE
+from jaxbundle.block.wording import IMAGE, RADIANS
 
 OTHER_NAMES = {"parameters": "priors", "interior": "interior_priors"}  # tables of the report have these names already
 TAKEN = ("images", "cameras", "points", "rays", "check_points", "inner_orientation", "fiducials", "down_weighted")
@@ -118,7 +115,7 @@ def _units(
     """Size of the user's units in those of the block, and their names; "" where members differ or it is not known."""
     kind, angle = group.structure.kind, RADIANS[structure.angle_unit]
     count, components = len(group.structure.indices), len(kind.components)
-    if kind.name in ANGLES or kind in ATTITUDES.values():
+    if kind.angles:
         return np.full((count, 1), angle), (structure.angle_unit,) * components
     if kind == PARAMETERS:
         is_angle = np.array([structure.parameters[p].angle for p in group.structure.indices[:, 0]], bool)

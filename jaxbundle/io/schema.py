@@ -1,0 +1,205 @@
+"""What a table of a block folder consists of: the types in which `block_tables` describes every table.
+
+The reader, the writer, the messages about columns, the ranges of numbers and the description of the format follow from
+these descriptions.
+"""
+
+import dataclasses
+import itertools
+import math
+from collections.abc import Callable, Sequence
+from dataclasses import dataclass
+from enum import Enum
+
+from jaxbundle.block.observations import ObservationKind
+from jaxbundle.geometry.rotation import OMEGA_PHI_KAPPA, RotationSystem
+from jaxbundle.io.ranges import (
+    LARGEST_COVARIANCE,
+    LARGEST_IMAGE_COORDINATE,
+    LARGEST_LENGTH,
+    LARGEST_SIGMA,
+    LARGEST_TIME,
+    largest_angle,
+)
+
+
+class Holds(Enum):
+    """What the fields of a column hold."""
+
+    TEXT = "text"
+    POINT = "object point"
+    IMAGE = "image"
+    END = "object point, or `image:` and an image"
+    OWNER = "what the rows have in common"
+    VALUE = "number"
+    SIGMA = "standard deviation"
+    OTHER = "further number"
+
+
+class Unit(Enum):
+    """Unit of a column of numbers, in words, and the largest number that is read; that of angles is 100 full turns."""
+
+    OBJECT = "object unit", LARGEST_LENGTH
+    OBJECT_SQUARED = "object unit squared", LARGEST_COVARIANCE
+    ANGLE = "angle unit", math.inf
+    RAYS = "unit of the rays", LARGEST_IMAGE_COORDINATE
+    MM = "mm", LARGEST_IMAGE_COORDINATE
+    PX = "px", LARGEST_IMAGE_COORDINATE
+    TIME = "any unit of time", LARGEST_TIME
+    NONE = "", LARGEST_LENGTH
+
+    def __init__(self, words: str, maximum: float):
+        self.words, self.maximum = words, maximum
+
+
+@dataclass(frozen=True)
+class Column:
+    """A column; {0}, {1} and {2} in its name stand for the three angles of the rotation system.
+
+    `empty`, `zero`, `positive`, `first_face`: the cures of an empty field, of a standard deviation of 0, of a number
+    that is not positive, and of an angle not between 0 and half a turn; "" where that is allowed. `missing`: the cure
+    of a table without this column.
+    """
+
+    name: str
+    holds: Holds = Holds.VALUE
+    unit: Unit = Unit.NONE
+    optional: bool = False
+    empty: str = ""
+    zero: str = ""
+    positive: str = ""
+    first_face: str = ""
+    missing: str = ""
+
+    def maximum(self, half_turn: float) -> float:
+        """The largest number that is read; `half_turn` is that of the angle unit."""
+        if self.holds is Holds.SIGMA:
+            return LARGEST_SIGMA
+        return largest_angle(half_turn) if self.unit is Unit.ANGLE else self.unit.maximum
+
+    @property
+    def words(self) -> str:
+        """The name; of an angle that in the system omega-phi-kappa."""
+        return self.name.format(*OMEGA_PHI_KAPPA.angles)
+
+    @property
+    def may_be(self) -> list[str]:
+        """What is allowed of it: that it is absent, empty or 0."""
+        number = self.holds in (Holds.VALUE, Holds.SIGMA, Holds.OTHER)
+        allowed = {
+            "absent": self.optional,
+            "empty": number and not self.empty,
+            "0": self.holds is Holds.SIGMA and not self.zero,
+        }
+        return [words for words, may in allowed.items() if may]
+
+
+@dataclass(frozen=True)
+class OwnerSchema:
+    """What rows of a table have in common: the set of directions, the bar, the plane that a row names.
+
+    `parameters`: unknowns of each owner and their units, none if the first row of an owner is what the others refer to.
+    `table`: the table with the value of the parameter and its sigma; "" where it is found from approximate coordinates.
+    `same`: a column in which all rows of an owner agree. `min_rows`: of an owner; more than 1 forbids repeated rows.
+    """
+
+    parameters: tuple[tuple[str, Unit], ...] = ()
+    table: str = ""
+    same: str = ""
+    min_rows: int = 1
+
+
+def called(table: str) -> str:
+    """What a row of a table is called."""
+    return table.removesuffix("s").replace("_", " ")
+
+
+@dataclass(frozen=True)
+class TableSchema:
+    """A table: its key in [tables], what a row is about, with names of columns in braces, and its columns.
+
+    `kind`: the kind of observation of a row, by what its points and ends are, "point" or "image"; None where the rows
+    are no observations. `plain`: read and written by the columns alone, without code of its own. `systematic`:
+    systematic errors of a group that the rows name, as keys of [navigation.NAME].
+    """
+
+    name: str
+    subject: str
+    columns: tuple[Column, ...]
+    meaning: str
+    kind: Callable[..., ObservationKind] | None = None
+    plain: bool = False
+    owner: OwnerSchema | None = None
+    systematic: tuple[str, ...] = ()
+
+    @property
+    def file(self) -> str:
+        """The usual name of its file."""
+        return f"{self.name}.csv"
+
+    @property
+    def row(self) -> str:
+        """What a row, or an owner of rows, is called: "height difference", "plumb line"."""
+        return called(self.name)
+
+    @property
+    def needed(self) -> tuple[str, ...]:
+        """Columns that must be there."""
+        return tuple(column.name for column in self.columns if not column.optional)
+
+    @property
+    def names(self) -> tuple[str, ...]:
+        """All columns, those that must be there first."""
+        return (*self.needed, *(column.name for column in self.columns if column.optional))
+
+    def of(self, *holds: Holds) -> tuple[str, ...]:
+        """The columns that hold one of these."""
+        return tuple(column.name for column in self.columns if column.holds in holds)
+
+    @property
+    def entities(self) -> tuple[str, ...]:
+        """Columns of points and images, in the order in which an observation touches them."""
+        return self.of(Holds.POINT, Holds.IMAGE, Holds.END)
+
+    @property
+    def unit(self) -> Unit:
+        """Unit of the values, or of their standard deviations where the table has no values."""
+        return next(c.unit for holds in (Holds.VALUE, Holds.SIGMA) for c in self.columns if c.holds is holds)
+
+    @property
+    def owner_column(self) -> str:
+        """The column that names the owner; "" where there is none."""
+        return next(iter(self.of(Holds.OWNER)), "")
+
+    @property
+    def from_first(self) -> bool:
+        """Whether the rows of an owner are observed from its first row."""
+        return self.owner is not None and not self.owner.parameters
+
+    def prefix(self, parameter: str) -> str:
+        """What stands before the name of an owner in that of its parameter, such as "orientation of set "."""
+        return f"{parameter} of {self.owner_column} "
+
+    def column(self, name: str) -> Column:
+        """A column by its name."""
+        return next(column for column in self.columns if column.name == name)
+
+    def ends(self) -> list[tuple[str, ...]]:
+        """What the points and ends of a row may be, in the order of the groups of observations."""
+        holds = [self.column(name).holds for name in self.entities]
+        ways = {Holds.POINT: ("point",), Holds.IMAGE: ("image",), Holds.END: ("point", "image")}
+        return list(itertools.product(*(ways[what] for what in holds)))
+
+    def kinds(self) -> list[ObservationKind]:
+        """All kinds of observation of this table."""
+        return [self.kind(*ends) for ends in self.ends()] if self.kind else []
+
+    def in_system(self, system: RotationSystem) -> "TableSchema":
+        """The table with the names of the three angles of a rotation system."""
+        columns = tuple(dataclasses.replace(c, name=c.name.format(*system.angles)) for c in self.columns)
+        return dataclasses.replace(self, columns=columns)
+
+    def only(self, needed: Sequence[str]) -> "TableSchema":
+        """The table in which no other columns must be there."""
+        columns = tuple(dataclasses.replace(c, optional=c.name not in needed) for c in self.columns)
+        return dataclasses.replace(self, columns=columns)

@@ -1,0 +1,176 @@
+"""What a report consists of: sections of facts and tables, in the user's names and units, which renderers show.
+
+A section is made once. Text shows the page of each table, CSV files hold all rows, report.json the facts and the rows
+that are results; any other form is one more renderer.
+"""
+
+import math
+from collections.abc import Callable, Sequence
+from dataclasses import dataclass
+from typing import Any
+
+import numpy as np
+from jaxtyping import Int
+
+LARGEST_FIXED = 1e12  # with four decimals already beyond double precision
+NAME, PARAMETER, OWNER = 18, 36, 26  # longer names, of parameters, and of those beside two ends, are shortened
+
+
+@dataclass(frozen=True, eq=False)
+class Picked:
+    """Names by index: as a list of names it would take much memory for millions of rays."""
+
+    names: tuple[str, ...]
+    index: Int[np.ndarray, " row"]
+
+    def __len__(self) -> int:
+        return len(self.index)
+
+    def __getitem__(self, row: int) -> str:
+        return self.names[self.index[row]]
+
+
+@dataclass(frozen=True, eq=False)
+class ReportColumn:
+    """A column of a table: its name and its values, NaN where nothing is known.
+
+    `head`: the heading on a page, where values stand as `show` tells; None if no page shows the column. `place`:
+    columns of a lower place come first on a page. `deviation_of`: the column whose standard deviations these are.
+    `is_name`: the values name what a row is about. `in_file`, `is_result`: the CSV file or report.json has the column.
+    """
+
+    name: str
+    values: Sequence[str] | Picked | np.ndarray
+    head: str | None = None
+    show: Callable[[Any], str] = str
+    place: int = 2
+    deviation_of: str = ""
+    is_name: bool = False
+    in_file: bool = True
+    is_result: bool = False
+
+
+@dataclass(frozen=True, eq=False)
+class ReportTable:
+    """Rows of one sort. `name`: that of its file and its key in report.json.
+
+    `page`: the rows that a page shows, and `more`: where the others are. `results`: the rows in report.json, None if
+    the table is not there. `below`: a page has the standard deviations below the values, not beside them.
+    """
+
+    name: str
+    columns: tuple[ReportColumn, ...]
+    page: Int[np.ndarray, " shown"]
+    more: str = ""
+    results: Int[np.ndarray, " result"] | None = None
+    below: bool = False
+    in_file: bool = True
+
+
+@dataclass(frozen=True)
+class Fact:
+    """A label, what a page says beside it, if it does, and the same as entries of report.json."""
+
+    label: str
+    text: str
+    entries: dict[str, Any]
+
+
+@dataclass(frozen=True)
+class Facts:
+    """Facts below each other; `indent` is where their text begins."""
+
+    facts: tuple[Fact, ...]
+    indent: int
+
+
+@dataclass(frozen=True)
+class Section:
+    """A heading and what stands below it: facts, tables and sentences. Without any of them it is left out."""
+
+    title: str
+    parts: tuple[Facts | ReportTable | str, ...]
+
+
+def fact(label: str, text: str, **entries: Any) -> Fact:
+    """A fact, its entries as keywords."""
+    return Fact(label, text, entries)
+
+
+def name_column(name: str, values: Sequence[str] | Picked, longest: int = 0) -> ReportColumn:
+    """Names of what the rows are about; on a page they are shortened."""
+    return ReportColumn(name, values, name, lambda v: short(v, longest) if longest else short(v), 0, is_name=True)
+
+
+def measured(
+    names: Sequence[str], values: np.ndarray, deviations: np.ndarray, units: Sequence[str], places: Sequence[int]
+) -> tuple[ReportColumn, ...]:
+    """Columns of values, then of their standard deviations, with so many decimals on a page."""
+    heads = zip(names, values.T, deviations.T, units, places, strict=True)
+    columns = [
+        (
+            ReportColumn(name, value, with_unit(name, unit), lambda v, p=p: fixed(v, p), is_result=True),
+            ReportColumn(
+                f"s{name}", sd, with_unit(f"sd {name}", unit), lambda v, p=p: deviation(v, p), 4, deviation_of=name
+            ),
+        )
+        for name, value, sd, unit, p in heads
+    ]
+    return (*(value for value, _ in columns), *(sd for _, sd in columns))
+
+
+def numbers(
+    names: Sequence[str], values: np.ndarray, heads: Sequence[str] = (), **more: Any
+) -> tuple[ReportColumn, ...]:
+    """Columns of numbers that belong together; without heads pages do not show them."""
+    named = zip(names, values.T, heads or [None] * len(names), strict=True)
+    return tuple(ReportColumn(name, column, head, **more) for name, column, head in named)
+
+
+def of_page(head: str, values: Sequence[str] | Picked | np.ndarray, show: Callable[[Any], str] = str, place: int = 5):
+    """A column that pages show only."""
+    return ReportColumn("", values, head, show, place, in_file=False)
+
+
+def with_digits(count: int) -> Callable[[float], str]:
+    """How to show numbers with so many digits."""
+    return lambda value: digits(value, count)
+
+
+def first(rows: np.ndarray, limit: int, what: str) -> tuple[np.ndarray, str]:
+    """The first rows, and where the others are if there are more."""
+    count = len(rows)
+    return rows[:limit], f"... the first {limit} of {count} {what}; the tables hold all" if count > limit else ""
+
+
+def short(name: str, longest: int = NAME) -> str:
+    """A name of at most so many characters."""
+    return name if len(name) <= longest else f"{name[: longest - 10]}...{name[-7:]}"
+
+
+def decimals(deviations: np.ndarray) -> int:
+    """Decimals with which the typical standard deviation has two digits; 4 where there is none."""
+    known = deviations[np.isfinite(deviations) & (deviations > 0)]
+    return int(np.clip(1 - math.floor(math.log10(np.median(known))), 0, 9)) if len(known) else 4
+
+
+def fixed(value: float, places: int) -> str:
+    """A number with so many decimals; "-" where there is none, and with an exponent where it is absurdly large."""
+    if not math.isfinite(value):
+        return "-"
+    return f"{value:.{places}f}" if abs(value) < LARGEST_FIXED else f"{value:.6g}"
+
+
+def deviation(value: float, places: int) -> str:
+    """A standard deviation; "held" for 0."""
+    return "held" if value == 0 else fixed(value, places)
+
+
+def digits(value: float, count: int) -> str:
+    """A number with so many digits; "-" where there is none."""
+    return f"{value:.{count}g}" if math.isfinite(value) else "-"
+
+
+def with_unit(name: str, unit: str) -> str:
+    """The head of a column."""
+    return f"{name} [{unit}]" if unit else name
