@@ -1,8 +1,10 @@
+import gc
 import os
 from pathlib import Path
 
 import jax
 import pytest
+from hypothesis import settings
 
 from jaxbundle.numerics import programs
 from jaxbundle.numerics.compilation import Compiled
@@ -13,6 +15,10 @@ os.environ["XLA_FLAGS"] = f"{os.environ.get('XLA_FLAGS', '')} {QUICKLY}"
 jax.config.update("jax_enable_x64", True)
 jax.config.update("jax_num_cpu_devices", 4)
 
+settings.register_profile("reproducible", derandomize=True, deadline=None)
+settings.load_profile("reproducible")
+
+gc.set_threshold(100_000, 20, 100)  # tracing makes many objects and few cycles
 MAPS, MAX_MAPS = Path("/proc/self/maps"), 20_000
 SHARED_DATA = Path(__file__).parents[2] / "shared" / "data"
 

@@ -7,7 +7,7 @@ import equinox as eqx
 import jax.numpy as jnp
 import numpy as np
 import pytest
-from folders import make_small_folder
+from folders import POINTS, change, make_small_folder, write
 from hypothesis import HealthCheck, given, settings
 from hypothesis import strategies as st
 from mutations import bal_mutated, folder_mutated, put
@@ -18,7 +18,7 @@ from jaxbundle.block.problems import BlockError, is_hidden
 from jaxbundle.io import block_folder, read, read_bal
 
 INPUTS = 80
-EVERYTHING = settings(max_examples=40, deadline=None, suppress_health_check=[HealthCheck.function_scoped_fixture])
+EVERYTHING = settings(max_examples=40, suppress_health_check=[HealthCheck.function_scoped_fixture])
 
 # folder: the beginning of the one line, and words in it
 CASES = {
@@ -137,6 +137,46 @@ def test_any_bytes_as_a_file(tmp_path: Path, data: bytes) -> None:
     path = tmp_path / "block.txt"
     path.write_bytes(data)
     assert_block_or_words(path)
+
+
+# what is smaller than a coordinate can be is refused
+COORDINATE = st.floats(-1e6, 1e6).map(lambda x: x if abs(x) > 1e-6 else 0.0)
+COORDINATES = st.tuples(COORDINATE, COORDINATE, COORDINATE)
+
+
+@EVERYTHING
+@given(points=st.lists(COORDINATES, min_size=8, max_size=8))
+def test_any_coordinates_in_a_table(without_compiling: None, tmp_path: Path, points: list[tuple]) -> None:
+    """Every number is read to its last bit."""
+    folder = make_small_folder(tmp_path / "small")
+    rows = [f"{name},{x!r},{y!r},{z!r}" for name, (x, y, z) in zip(POINTS, points, strict=False)]
+    write(folder, "points.csv", "point,X,Y,Z", rows)
+    block = read(folder, check_start=False)
+    index = [block.structure.point_names.index(name) for name in POINTS[5:8]]  # those before them have control
+    np.testing.assert_array_equal(np.asarray(block.object_points)[index], points[5:])
+
+
+@EVERYTHING
+@given(distance=st.floats(1.0, 1e4), sigma=st.floats(1e-3, 1e3))
+def test_any_values_in_block_toml(without_compiling: None, tmp_path: Path, distance: float, sigma: float) -> None:
+    folder = make_small_folder(tmp_path / "small")
+    change(folder, "block.toml", 17, "50.0", repr(distance))
+    change(folder, "block.toml", 23, "0.5", repr(sigma))
+    block = read(folder, check_start=False)
+    assert float(block.interior.elements[0, 0]) == distance
+    np.testing.assert_array_equal(block.rays.sigmas, sigma)
+
+
+@EVERYTHING
+@given(points=st.tuples(COORDINATES, COORDINATES), distance=st.floats(1.0, 1e4))
+def test_any_numbers_in_a_bal_file(tmp_path: Path, points: tuple, distance: float) -> None:
+    begin = TINY.partition("\n1500\n")[0].replace("1400", repr(distance))
+    numbers = [repr(number) for point in points for number in point]
+    path = tmp_path / "tiny.txt"
+    path.write_text("\n".join([begin, "1500", "0", "0", *numbers]) + "\n")
+    block = read_bal(path)
+    np.testing.assert_array_equal(block.object_points, points)
+    assert float(block.interior.elements[0, 0]) == distance
 
 
 def test_what_is_no_file(tmp_path: Path) -> None:
