@@ -133,7 +133,7 @@ def _on_points(interior: Array, like: Scalar) -> tuple[Array, ...]:
 def factorised(e: Equations, damping: Scalar) -> tuple[list[Scalar], list[Scalar]]:
     """Cholesky factor of N + lambda D, D = diag(N), scaled to the unit diagonal of N; and the scale."""
     scale: list[Scalar] = [1 / jnp.sqrt(e.normals[place(i, i)]) for i in range(UNKNOWNS)]
-    scaled = [
+    scaled: list[Scalar] = [
         1.0 + damping if i == j else e.normals[place(i, j)] * scale[i] * scale[j]
         for i in range(UNKNOWNS)
         for j in range(i + 1)

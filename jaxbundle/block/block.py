@@ -218,7 +218,7 @@ class Block(eqx.Module):
         """Whether the values are numbers, not tracers of a jit, grad or vmap."""
         return is_concrete(self)
 
-    def moved(self, shift: Float[Array, "3"]) -> "Block":
+    def moved(self, shift: Float[Array | np.ndarray, "3"]) -> "Block":
         """The same block in an object system whose origin lies at -shift: every coordinate grows by `shift`."""
         shift = on_host(shift)
 

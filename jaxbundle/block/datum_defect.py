@@ -92,7 +92,7 @@ def _datum_rows(
     fixed: Int[Array, " point"],
     held: Int[Array, " image"],
     radius: Float[Array, ""],
-) -> tuple[Float[Array, "row column"], Float[Array, "row column"]]:
+) -> tuple[Float[Array, "row column"], Float[Array, "weighted_row column"]]:
     """Derivatives of what carries the datum by the seven parameters and the block's own: of held elements and of
     observations in units of the block's radius, and of observations with their weights.
 

@@ -105,8 +105,8 @@ def _small_rotation(reference: Rotation, alpha: Array, omega: Array, kappa: Arra
     return rotation.product(reference, rotation.from_alpha_omega_kappa(alpha, omega, kappa))
 
 
-def _columns(rotation_from_angles: Callable[..., Rotation], angles: Angles) -> Float[Array, "9 3 image"]:
-    """Derivatives of the nine elements with respect to each of three angles, image by image."""
+def _columns(rotation_from_angles: Callable[..., Rotation], angles: Angles) -> Float[Array, "element 3 image"]:
+    """Derivatives of the elements with respect to each of three angles, image by image."""
     along = [jnp.stack(jax.jvp(rotation_from_angles, angles, unit)[1]) for unit in _units(angles[0])]
     return jnp.stack(along, 1)
 

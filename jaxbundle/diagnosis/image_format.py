@@ -39,7 +39,7 @@ class _Format(NamedTuple):
 
     @property
     def size(self) -> Float[np.ndarray, "2"]:
-        return np.array([self.width, self.height])
+        return np.array([self.width, self.height], float)
 
     @property
     def words(self) -> str:

@@ -17,9 +17,11 @@ from collections.abc import Callable
 from typing import NamedTuple
 
 import jax.numpy as jnp
+import numpy as np
 from jaxtyping import Array, Inexact
 
-Scalar = Inexact[Array, "..."] | float  # complex too: the matrices from angles are analytic, as complex steps need
+# complex too: the matrices from angles are analytic, as complex steps need
+Scalar = Inexact[Array | np.ndarray, "..."] | float
 Rotation = tuple[Scalar, ...]
 Angles = tuple[Scalar, Scalar, Scalar]
 

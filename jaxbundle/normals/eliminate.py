@@ -181,7 +181,7 @@ def _curvature_sums(curvature: RayCurvature, m: int) -> tuple[Float[Array, "slot
     return jnp.pad(sums[:, place], ((0, 0), (0, m - k), (0, m - k))), jnp.concatenate(curvature.rotation, 1)
 
 
-def border_rows(e: Eliminated, observations: Observations, shape: Shape) -> Float[Array, "tile border 3n"]:
+def border_rows(e: Eliminated, observations: Observations, shape: Shape) -> Float[Array, "tile border column"]:
     """E_b of every tile: the rows of its rays summed by camera."""
     rows = coupling_rows(e, shape.image, shape.shared)
     camera = observations.image_camera[e.chunk.slot_image]

@@ -16,7 +16,7 @@ from dataclasses import dataclass
 from typing import NamedTuple
 
 import numpy as np
-from jaxtyping import Bool, Float, Int
+from jaxtyping import Bool, Float, Int, UInt64
 
 from jaxbundle.numerics.shapes import grid_size
 
@@ -53,7 +53,7 @@ def tile_width(rays: int) -> int:
     return 32 if rays > 200_000 else 16
 
 
-def _spread(values: Int[np.ndarray, " n"]) -> Int[np.ndarray, " n"]:
+def _spread(values: Int[np.ndarray, " n"]) -> UInt64[np.ndarray, " n"]:
     """Bits of small integers moved four apart."""
     table = np.zeros(256, np.uint64)
     for bit in range(8):

@@ -44,7 +44,7 @@ class Ended(NamedTuple):
     unknowns are checked where no standard deviations are computed."""
 
     iterations: Iterations
-    origin: Float[Array, "3"]
+    origin: Float[Array | np.ndarray, "3"]
     rule: str
     method: str
     precision: bool
@@ -151,12 +151,16 @@ def _redundancy_numbers(block: Block, leverages: tuple[Array, ...]) -> tuple[Arr
 
 
 def _adjusted(
-    block: Block, plan: Arrangement, arranged: Arranged, angles: Float[Array, "3 image"], origin: Float[Array, "3"]
+    block: Block,
+    plan: Arrangement,
+    arranged: Arranged,
+    angles: Float[Array, "3 image"],
+    origin: Float[Array | np.ndarray, "3"],
 ) -> Block:
     """The block with its adjusted values. What is held stays exactly as it was given: moving the origin rounds."""
     unknowns, structure = restored_unknowns(plan, arranged), block.structure
 
-    def chosen(free: np.ndarray, new: Array, old: Array) -> Array:
+    def chosen(free: np.ndarray, new: Array | np.ndarray, old: Array) -> Array:
         new, old = on_host(new), on_host(old)
         return on_device((np if is_concrete((new, old)) else jnp).where(free, new, old))
 
