@@ -6,6 +6,7 @@ import equinox as eqx
 import jax.numpy as jnp
 import numpy as np
 import pytest
+from bal_file import TINY
 from folders import make_small_folder
 
 from jaxbundle.block.block import Block
@@ -16,29 +17,6 @@ from jaxbundle.geometry.rotation import ALPHA_OMEGA_KAPPA
 from jaxbundle.io import read, read_bal, read_block_folder, write_bal, write_block_folder
 
 FILES = ("problem-49-7776-pre.txt", "ladybug-49-shrink-1800.txt", "dubrovnik-3-7-pre.txt")
-
-TINY = """\
-2 2 4
-0 0     -3.859900e+02 3.871200e+02
-1 0     -3.844000e+01 4.921200e+02
-0 1 3.838800e+02 -1.529999e+01
-1 1 5.597500e+02 -1.061500e+02
-
-1e-2 2e-2 -3e-3
-1 2 -3
-1400 1e-3 -2e-4
-0
-0.1
--0.2
-4
-5
-6
-1500
-0
-0
-1 2 -30
--4 5 -36
-"""
 
 
 def cost(block: Block) -> float:

@@ -3,8 +3,8 @@
 from pathlib import Path
 
 import pytest
+from folder_edits import STATIONS, Edit, added, dropped, line, table, toml
 from folders import append, change, make_small_folder, write
-from test_broken_folders import STATIONS, Edit, added, dropped, line, table, toml
 
 from jaxbundle.block.problems import BlockError
 from jaxbundle.io import read_block_folder

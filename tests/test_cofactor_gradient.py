@@ -5,9 +5,9 @@ import jax
 import jax.numpy as jnp
 import numpy as np
 import pytest
+from block_variants import BLOCKS
 from heterogeneous import PAIRS, case
 from simulated import small_block
-from test_elimination import BLOCKS
 
 from jaxbundle.block.block import Block
 from jaxbundle.block.unknowns import attitude_derivatives, unknowns_of

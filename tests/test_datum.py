@@ -7,6 +7,7 @@ import jax
 import jax.numpy as jnp
 import numpy as np
 import pytest
+from free_networks import free_network
 
 from jaxbundle.block.block import Block, Datum, Parameter
 from jaxbundle.block.datum import with_datum
@@ -15,19 +16,9 @@ from jaxbundle.block.geodetic import DISTANCES, geodetic_kind
 from jaxbundle.block.navigation import GNSS
 from jaxbundle.block.observations import CONTROL, STATIONS, ObservationGroup, observation_group
 from jaxbundle.block.problems import BlockError
-from jaxbundle.planning.simulate import simulate
 from jaxbundle.solve.adjust import adjust
 
 NO = np.nan
-
-
-def free_network(strips: int = 1) -> Block:
-    """Strips of three images, with no control at all."""
-    block = simulate(strips, 3, control_rows=0, check_points=0, points_per_image=30).block
-    free = np.ones_like(block.structure.exterior_free)
-    return dataclasses.replace(
-        block, structure=dataclasses.replace(block.structure, exterior_free=free, datum=Datum("open"))
-    )
 
 
 def control(*coordinates: tuple[float, float, float]) -> ObservationGroup:

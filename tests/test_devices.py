@@ -6,26 +6,12 @@ import jax
 import jax.numpy as jnp
 import numpy as np
 import pytest
+from block_variants import with_distances, with_private_cameras
+from one_step import step
 from simulated import long_block, small_block
-from test_elimination import with_distances, with_private_cameras
 
 from jaxbundle.block.block import Block
-from jaxbundle.block.unknowns import unknowns_of
-from jaxbundle.normals.arrange import arrange, arranged_unknowns, problem, restored_unknowns
-from jaxbundle.normals.step import trial_step
-from jaxbundle.numerics.compilation import Compiled
 from jaxbundle.solve.adjust import adjust
-
-compiled_step = Compiled(trial_step)
-
-
-def step(block: Block, devices: int):
-    """Reductions and unknowns of one step."""
-    block = block.moved(-np.mean(block.exterior.projection_centre, 0))
-    plan = arrange(block.structure, block.groups, np.asarray(block.exterior.projection_centre), devices, "panels")
-    start = arranged_unknowns(plan, unknowns_of(block))
-    trial = compiled_step(start, problem(plan, block), jnp.array(1e-3), optimised=False)
-    return trial, restored_unknowns(plan, trial.unknowns)
 
 
 @pytest.mark.parametrize("make", [with_distances, with_private_cameras], ids=["shared camera", "private cameras"])

@@ -6,10 +6,11 @@ import equinox as eqx
 import jax.numpy as jnp
 import numpy as np
 import pytest
+from block_variants import changed, with_distances
 from dense import centred, dense_cofactors, dense_system, free_values
+from dense_steps import assert_dense_steps
+from long_tracks import block_of
 from simulated import small_block
-from test_elimination import assert_dense_steps, changed, with_distances
-from test_long_tracks import block_of
 
 from jaxbundle.block.block import Block, Rays
 from jaxbundle.block.validate import validate

@@ -8,20 +8,14 @@ import jax.numpy as jnp
 import numpy as np
 import pytest
 from dense import centred, dense_system
+from free_networks import free_network, inner
 from simulated import small_block
-from test_datum import free_network
 
-from jaxbundle.block.block import Block, Datum
+from jaxbundle.block.block import Block
 from jaxbundle.block.geodetic import DISTANCES
 from jaxbundle.block.observations import observation_group
 from jaxbundle.block.problems import BlockError
 from jaxbundle.solve.adjust import adjust
-
-
-def inner(block: Block, points: tuple[str, ...] = ()) -> Block:
-    return dataclasses.replace(
-        block, structure=dataclasses.replace(block.structure, datum=Datum("inner", points=points))
-    )
 
 
 def with_scale(block: Block) -> Block:

@@ -7,11 +7,11 @@ import equinox as eqx
 import jax.numpy as jnp
 import numpy as np
 import pytest
+from bal_file import TINY
 from folders import POINTS, change, make_small_folder, write
 from hypothesis import HealthCheck, given, settings
 from hypothesis import strategies as st
 from mutations import bal_mutated, folder_mutated, put
-from test_bal import TINY
 
 from jaxbundle.block.block import Block
 from jaxbundle.block.problems import BlockError, is_hidden

@@ -8,8 +8,8 @@ import jax
 import jax.numpy as jnp
 import numpy as np
 import pytest
+from block_variants import changed
 from heterogeneous import strip
-from test_elimination import changed
 
 import jaxbundle as jb
 from jaxbundle.block.consistency import inconsistencies

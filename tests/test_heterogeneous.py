@@ -6,10 +6,10 @@ import jax.numpy as jnp
 import numpy as np
 import pytest
 from dense import centred, dense_cofactors, dense_step, dense_system, difference, free_values, sizes
+from dense_steps import DAMPINGS, block_steps
 from heterogeneous import PAIRS, case, drawn
 from jaxtyping import Array
 from scipy.stats import chi2
-from test_elimination import DAMPINGS, block_steps
 
 from jaxbundle.block.block import Block
 from jaxbundle.block.unknowns import unknowns_of

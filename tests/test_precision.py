@@ -4,9 +4,8 @@ import jax.numpy as jnp
 import numpy as np
 import pytest
 from dense import centred, dense_cofactors
+from free_networks import free_network, inner
 from heterogeneous import case
-from test_datum import free_network
-from test_free_network import inner
 
 from jaxbundle.solve.adjust import adjust
 from jaxbundle.statistics.precision import covariance_of, error_ellipses, error_ellipsoids

@@ -3,9 +3,9 @@
 from pathlib import Path
 
 import pytest
+from bal_file import TINY
 from folders import make_small_folder
 from same import assert_same
-from test_bal import TINY
 
 from jaxbundle.block.problems import BlockError
 from jaxbundle.io import read

@@ -6,9 +6,9 @@ import jax
 import jax.numpy as jnp
 import numpy as np
 import pytest
+from block_variants import BLOCKS
 from heterogeneous import PAIRS, case, drawn
 from simulated import small_block
-from test_elimination import BLOCKS
 
 from jaxbundle.block.block import Block
 from jaxbundle.block.unknowns import unknowns_of
