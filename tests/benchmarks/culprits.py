@@ -20,7 +20,7 @@ from jaxbundle.cli import runtime  # noqa: E402
 
 runtime.start()
 
-from gross_errors import BLOCKS, KINDS, Simulated, drawn_outcome  # noqa: E402
+from cases.gross_errors import BLOCKS, KINDS, Simulated, drawn_outcome  # noqa: E402
 
 from jaxbundle.statistics.suspects import find_suspects  # noqa: E402
 
