@@ -22,7 +22,7 @@ from jaxbundle.cli import runtime  # noqa: E402
 
 runtime.start()
 
-from gross_errors import BLOCKS, KINDS, Simulated, drawn_outcome  # noqa: E402
+from cases.gross_errors import BLOCKS, KINDS, Simulated, drawn_outcome  # noqa: E402
 from scipy.special import ndtr, ndtri  # noqa: E402
 
 from jaxbundle.statistics.reliability import POWER  # noqa: E402

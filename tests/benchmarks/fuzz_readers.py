@@ -24,10 +24,10 @@ os.environ.setdefault("POLARS_MAX_THREADS", "1")  # the tables are small
 import equinox as eqx  # noqa: E402
 import jax.numpy as jnp  # noqa: E402
 import numpy as np  # noqa: E402
-from film import film_folder  # noqa: E402
-from folders import make_small_folder  # noqa: E402
-from mutations import bal_mutated, folder_mutated, put  # noqa: E402
-from surveyed import make_surveyed_folder  # noqa: E402
+from cases.mutated_files import bal_mutated, folder_mutated, put  # noqa: E402
+from cases.scanned_film import film_folder  # noqa: E402
+from cases.small_folder import make_small_folder  # noqa: E402
+from cases.surveyed_site import make_surveyed_folder  # noqa: E402
 
 from jaxbundle.block import validate as validation  # noqa: E402
 from jaxbundle.block.block import Block  # noqa: E402
