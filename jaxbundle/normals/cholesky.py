@@ -13,7 +13,7 @@ import jax.numpy as jnp
 from jax import lax
 from jaxtyping import Array, Float, Int
 
-from jaxbundle.normals.image_factor import AbstractImageFactor
+from jaxbundle.normals.problem import AbstractImageFactor
 
 PANEL = 16
 

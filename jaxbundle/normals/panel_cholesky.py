@@ -23,8 +23,8 @@ from jax import lax
 from jaxtyping import Array, Bool, Float, Int
 
 from jaxbundle.normals.cholesky import inverse_factor
-from jaxbundle.normals.image_factor import AbstractImageFactor
 from jaxbundle.normals.plan.panel_lists import PanelColumns, PanelLists
+from jaxbundle.normals.problem import AbstractImageFactor
 
 Tiles = Float[Array, "tile b b"]
 Sides = Float[Array, "panel b k"]

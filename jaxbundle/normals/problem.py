@@ -10,7 +10,8 @@
 Long axes stand last: on a CPU what is concatenated or added along them is several times faster.
 """
 
-from typing import Any, NamedTuple
+import abc
+from typing import Any, Generic, NamedTuple, TypeVar
 
 import equinox as eqx
 import jax.numpy as jnp
@@ -19,9 +20,10 @@ from jaxtyping import Array, Bool, Float, Int
 
 from jaxbundle.block.residuals import Observations
 from jaxbundle.block.unknowns import Unknowns
-from jaxbundle.normals.image_factor import ImageFactor
 from jaxbundle.normals.plan.layout import Layout
 from jaxbundle.normals.plan.pair_lists import ClassPairs, GroupPairs
+
+F = TypeVar("F")
 
 
 class OrderedUnknowns(NamedTuple):
@@ -89,6 +91,33 @@ class BorderRays(eqx.Module):
 
     def __bool__(self) -> bool:
         return self.image.shape[0] > 0
+
+
+class AbstractImageFactor(eqx.Module, Generic[F]):
+    """One algorithm. Blocks are d x d, of the pairs i >= j of images in the order of elimination."""
+
+    @abc.abstractmethod
+    def factorise(self, pairs: Float[Array, "pair d d"]) -> F:
+        """L; images that no block mentions get a unit row. NaN from the first pivot on that is not positive."""
+
+    @abc.abstractmethod
+    def pivots(self, factor: F, images: int, d: int) -> Float[Array, "image d"]:
+        """Squares of the diagonal of L; any number for an image that no block mentions."""
+
+    @abc.abstractmethod
+    def forward(self, factor: F, right: Float[Array, "image d k"]) -> Float[Array, "image d k"]:
+        """L^-1 r."""
+
+    @abc.abstractmethod
+    def backward(self, factor: F, right: Float[Array, "image d k"]) -> Float[Array, "image d k"]:
+        """L^-T y."""
+
+    @abc.abstractmethod
+    def selected_inverse(self, factor: F, d: int) -> Float[Array, "pair d d"]:
+        """Blocks of A^-1 of the pairs; 0 where a block is not in use."""
+
+
+ImageFactor = AbstractImageFactor[Any]
 
 
 class ReducedSolver(eqx.Module):

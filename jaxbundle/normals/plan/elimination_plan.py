@@ -12,10 +12,9 @@ from jaxbundle.block.observations import ObservationGroup
 from jaxbundle.normals.plan import elimination_order
 from jaxbundle.normals.plan.incidence import Views, border_points, group_image_pairs, own_cameras, views_of
 from jaxbundle.normals.plan.layout import EXTERIOR, Layout
-from jaxbundle.normals.plan.long_tiling import long_tiling
 from jaxbundle.normals.plan.pair_lists import ClassPairs, GroupPairs, class_pairs, group_pairs
 from jaxbundle.normals.plan.reduced_plan import Method, ReducedPlan, reduced_plan, too_large
-from jaxbundle.normals.plan.tiling import SLOTS, Seen, Tiling, tile_width, tiling
+from jaxbundle.normals.plan.tiling import SLOTS, Seen, Tiling, long_tiling, tile_width, tiling
 from jaxbundle.numerics.shapes import grid_size
 
 
