@@ -373,36 +373,3 @@ def _unknown(what: str, names: Sequence[str], there: Sequence[str]) -> Iterator[
     if missing:
         more = f" and {len(missing) - 1} more" if len(missing) > 1 else ""
         yield Problem(f"the datum names {what} {missing[0]!r}{more}, which the block does not have", "drop it", "datum")
-
-
-def unusable_numbers(block: Block) -> list[Problem]:
-    """Parameters and constants that are no numbers, and covariances that are none; the block's values are concrete."""
-    s, found = block.structure, []
-    for k in np.flatnonzero(~np.isfinite(np.asarray(block.parameters))):
-        found.append(
-            Problem(f"parameter {s.parameters[k].name} is not a finite number", "give it an approximate value")
-        )
-    for group in block.groups:
-        kind = group.structure.kind
-        for row in np.flatnonzero(~np.isfinite(np.asarray(group.constants)).all(1)):
-            what = f"one of {', '.join(kind.constants)} is not a finite number"
-            found.append(Problem(what, "give the number or drop the row", kind.table, int(row)))
-        for row in _indefinite(group):
-            what = "the covariances are not those of a positive definite matrix"
-            found.append(Problem(what, "give a covariance matrix of positive eigenvalues", kind.table, int(row)))
-    return found
-
-
-def _indefinite(group: ObservationGroup) -> Sequence[int]:
-    """Members whose observed components have no positive definite covariance matrix."""
-    if group.covariances is None:
-        return []
-    observed = group.structure.observed
-    both = observed[:, :, None] & observed[:, None, :]
-    matrices = np.where(both, np.asarray(group.covariances), np.eye(observed.shape[1]))
-    finite = np.asarray(np.isfinite(matrices).all((1, 2)))
-    safe = np.where(finite[:, None, None], matrices, np.eye(observed.shape[1]))
-    roots = np.sqrt(np.maximum(np.diagonal(safe, axis1=1, axis2=2), np.finfo(float).tiny))
-    smallest = np.linalg.eigvalsh(safe / roots[:, :, None] / roots[:, None, :])[:, 0]
-    # as correlations, of which one may fall below this by rounding alone
-    return np.flatnonzero(~(finite & (smallest > np.finfo(float).eps))).tolist()

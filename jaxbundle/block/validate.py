@@ -4,12 +4,12 @@ import numpy as np
 from jaxtyping import Bool, Int
 
 from jaxbundle.block.block import Block
-from jaxbundle.block.consistency import inconsistencies, unusable_numbers
+from jaxbundle.block.consistency import inconsistencies
 from jaxbundle.block.datum import inner_needs_none, is_located
 from jaxbundle.block.datum_defect import datum_defect, insufficient
 from jaxbundle.block.first_residuals import unusable_models
 from jaxbundle.block.given import require_a
-from jaxbundle.block.magnitudes import absurd_numbers
+from jaxbundle.block.magnitudes import absurd_numbers, unusable_numbers
 from jaxbundle.block.problems import BlockError, Problem
 
 
