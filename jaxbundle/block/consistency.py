@@ -284,7 +284,7 @@ def _group_arrays(s: Structure, group: ObservationGroup) -> Iterator[Problem]:
     """Shapes and indices of one group."""
     kind, indices = group.structure.kind, group.structure.indices
     texts = kind.components, kind.touches, kind.constants
-    if not isinstance(kind.name, str) or not all(_are_names(names) for names in texts):
+    if not (isinstance(kind.name, str) and isinstance(kind.table, str)) or not all(map(_are_names, texts)):
         yield Problem(
             "a kind of observation has a name, components, touches or constants of a wrong type",
             "give a string as its name, and tuples of strings as components, touches and constants",

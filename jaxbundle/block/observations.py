@@ -49,7 +49,8 @@ class ObservationKind:
     table: str = ""
 
     def __post_init__(self) -> None:
-        object.__setattr__(self, "table", self.table or self.name)
+        if isinstance(self.table, str) and not self.table:
+            object.__setattr__(self, "table", self.name)
 
     def residuals(self, touched: tuple, observed: tuple[Scalar, ...], constants: tuple[Scalar, ...]) -> tuple:
         """The residuals of a member, or of many whose scalars are arrays."""
