@@ -222,10 +222,11 @@ def test_anything_else_in_place_of_a_part(block, part):
             found = inconsistencies(PARTS[part](block, dataclasses.replace(right, **{field.name: junk})))
             assert not [str(problem) for problem in found if "\n" in str(problem)]
             accepted += [(field.name, junk)] if not found else []
-    free = ("name", "object_unit", "source", "findings", "inner_orientations", "width", "height")
+    free = ("name", "table", "object_unit", "source", "findings", "inner_orientations", "width", "height")
     assert {name for name, _ in accepted} <= {
         *free,
         "in_object_system",
+        "angles",
         "carriers",
         "covariances",
         "constraints",
