@@ -20,6 +20,7 @@ settings.load_profile("reproducible")
 
 gc.set_threshold(100_000, 20, 100)  # tracing makes many objects and few cycles
 MAPS, MAX_MAPS = Path("/proc/self/maps"), 20_000
+MEMORY, MAX_PAGES = Path("/proc/self/statm"), 3_000_000_000 // os.sysconf("SC_PAGE_SIZE")
 SHARED_DATA = Path(__file__).parents[2] / "shared" / "data"
 
 
@@ -36,10 +37,12 @@ def pytest_configure(config: pytest.Config) -> None:
 def forgotten_programs():
     """Programs hold memory maps, of which a process may have some 65 thousand (vm.max_map_count).
 
-    They are forgotten only where these become many: what the next module needs again is not compiled again.
+    They are forgotten only where these become many, or the process large (3 GB): what the next module needs again is
+    not compiled again.
     """
     yield
-    if not MAPS.exists() or MAPS.read_bytes().count(b"\n") > MAX_MAPS:
+    full = MEMORY.exists() and int(MEMORY.read_bytes().split()[1]) > MAX_PAGES
+    if full or not MAPS.exists() or MAPS.read_bytes().count(b"\n") > MAX_MAPS:
         Compiled.forget()
         jax.clear_caches()
 

@@ -3,7 +3,8 @@
 Gross errors of thousands of pixels draw a least-squares solution so far aside that its residuals accuse anybody. At the
 start they have drawn nothing yet: rays that are off there many times as far as the others are left out first, and what
 then still does not fit is wrong. Where the start tells nothing, robust weights (solve/robust.py) are tried. What is
-found are single rays, rays whose names or axes are exchanged, or whole images.
+found are single rays, rays whose names or axes are exchanged, control points that contradict all their rays, or whole
+images.
 """
 
 import equinox as eqx
@@ -12,6 +13,7 @@ from jaxtyping import Bool, Float, Int
 
 from jaxbundle.block.block import Block
 from jaxbundle.block.findings import Finding, Kind, Subject
+from jaxbundle.block.observations import CONTROL
 from jaxbundle.block.residuals import observations_of, ray_residuals
 from jaxbundle.block.unknowns import unknowns_of
 from jaxbundle.block.wording import counted, figure, named
@@ -45,10 +47,12 @@ def wrong_rays(start: Block, adjustment: Adjustment) -> tuple[Finding, ...]:
     v = np.asarray(found.residuals[0])
     low = low[np.argsort(-np.linalg.norm(v[low], axis=1), kind="stable")]
     images, low = _whole_images(start, low)
+    control, low = _whole_control(start, low)
     pairs, low = _exchanged(start, low, v)
     left = f"without what is named here the adjustment converges with sigma0 {after:.4g}"
     return (
         *(_image(start, image, left) for image in images),
+        *(_control(start, point, left) for point in control),
         *(_pair(start, pair, left) for pair in pairs),
         *([_single(start, low, v, left)] if len(low) else []),
     )
@@ -92,6 +96,17 @@ def _whole_images(start: Block, low: Int[np.ndarray, " ray"]) -> tuple[list[int]
     return np.flatnonzero(whole).tolist(), low[~whole[structure.ray_image[low]]]
 
 
+def _whole_control(start: Block, low: Int[np.ndarray, " ray"]) -> tuple[list[int], Int[np.ndarray, " ray"]]:
+    """Control points of which all rays are wrong: their coordinates are, or their one ray; and the other wrong rays."""
+    structure, count = start.structure, len(start.structure.point_names)
+    rays, wrong = (np.bincount(x, minlength=count) for x in (structure.ray_point, structure.ray_point[low]))
+    observed = [g.structure.indices[:, 0] for g in start.groups if g.structure.kind.table == CONTROL.table]
+    known = np.array(~structure.point_free.all(1))
+    known[np.concatenate([np.zeros(0, int), *observed])] = True
+    whole = known & (wrong > 0) & (wrong == rays)
+    return np.flatnonzero(whole).tolist(), low[~whole[structure.ray_point[low]]]
+
+
 def _exchanged(
     start: Block, low: Int[np.ndarray, " ray"], v: Float[np.ndarray, "ray 2"]
 ) -> tuple[list[tuple[int, int]], Int[np.ndarray, " ray"]]:
@@ -117,6 +132,19 @@ def _image(start: Block, image: int, left: str) -> Finding:
     cure = "check its camera, its resolution and its name, or remove it"
     what = f"most rays of image {name} do not agree with the other images; {left}"
     return Finding(Kind.SUSPECT, what, cure, (Subject("images", (name,)),))
+
+
+def _control(start: Block, point: int, left: str) -> Finding:
+    """A control point that contradicts all its rays."""
+    structure = start.structure
+    name, rays = structure.point_names[point], np.flatnonzero(structure.ray_point == point).tolist()
+    subjects = (Subject("control", (name,)),)
+    if len(rays) > 1:
+        what = f"control point {name} contradicts all its {len(rays)} rays"
+        return Finding(Kind.SUSPECT, f"{what}; {left}", "check its coordinates and its name", subjects)
+    what = f"control point {name} and its only ray, {ray_name(structure, rays[0])}, contradict each other"
+    cure = "check the coordinates, the name and the image point"
+    return Finding(Kind.SUSPECT, f"{what}; {left}", cure, (*subjects, ray_subject(structure, rays[0])))
 
 
 def _pair(start: Block, pair: tuple[int, int], left: str) -> Finding:

@@ -3,11 +3,13 @@
 import equinox as eqx
 import numpy as np
 import pytest
+from cases.gross_errors import strip
 
 import jaxbundle as jb
 from jaxbundle.block.block import Block
 from jaxbundle.block.findings import Kind, Subject
 from jaxbundle.diagnosis.after_failure import causes
+from jaxbundle.diagnosis.wrong_rays import _control, _whole_control
 
 
 @pytest.fixture(scope="module")
@@ -68,3 +70,17 @@ def test_extreme_sigmas(cured):
         (Kind.SIGMAS, (Subject("control", (point,)),)),
     ]
     assert np.isfinite(found[0].size)
+
+
+def test_a_control_point_that_contradicts_all_its_rays_is_told_from_a_ray():
+    """Point 8 of the strip has one ray, point 7 two: coordinates and only ray cannot be told apart."""
+    block = strip()
+    s = block.structure
+    of_point = {name: np.flatnonzero(s.ray_point == s.point_names.index(name)) for name in ("7", "8")}
+    assert [len(rays) for rays in of_point.values()] == [2, 1]
+    tie = np.flatnonzero(s.point_free.all(1)[s.ray_point])[:1]
+    points, others = _whole_control(block, np.concatenate([of_point["8"], of_point["7"][:1], tie]))
+    assert [s.point_names[p] for p in points] == ["8"]
+    np.testing.assert_array_equal(others, np.concatenate([of_point["7"][:1], tie]))
+    both = [(subject.table, subject.names) for subject in _control(block, points[0], "").subjects]
+    assert both == [("control", ("8",)), ("rays", ("1_05", "8"))]
