@@ -78,7 +78,7 @@ def test_a_control_point_that_contradicts_all_its_rays_is_told_from_a_ray():
     s = block.structure
     of_point = {name: np.flatnonzero(s.ray_point == s.point_names.index(name)) for name in ("7", "8")}
     assert [len(rays) for rays in of_point.values()] == [2, 1]
-    tie = np.flatnonzero(s.point_free.all(1)[s.ray_point])[:1]
+    tie = np.flatnonzero(s.point_free[s.ray_point].all(1))[:1]
     points, others = _whole_control(block, np.concatenate([of_point["8"], of_point["7"][:1], tie]))
     assert [s.point_names[p] for p in points] == ["8"]
     np.testing.assert_array_equal(others, np.concatenate([of_point["7"][:1], tie]))
