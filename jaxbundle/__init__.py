@@ -17,6 +17,7 @@ from typing import TYPE_CHECKING, Any
 if TYPE_CHECKING:
     from jaxbundle.approximate.intersection import intersect
     from jaxbundle.approximate.resection import Resection, resection
+    from jaxbundle.approximate.three_point_resection import ThreePointResection, three_point_resection
     from jaxbundle.block.block import (
         Block,
         Camera,
@@ -85,6 +86,7 @@ __version__ = "0.1.0"
 _MODULES = {
     "approximate.intersection": ("intersect",),
     "approximate.resection": ("Resection", "resection"),
+    "approximate.three_point_resection": ("ThreePointResection", "three_point_resection"),
     "block.block": (
         "Block",
         "Camera",
@@ -196,6 +198,7 @@ __all__ = [
     "Status",
     "Structure",
     "Subset",
+    "ThreePointResection",
     "Tukey",
     "VarianceComponents",
     "adjust",
@@ -235,6 +238,7 @@ __all__ = [
     "simulate",
     "snoop",
     "three_groups",
+    "three_point_resection",
     "tie_rays",
     "unknown_rule",
     "validate",
