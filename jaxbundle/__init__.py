@@ -15,6 +15,7 @@ import importlib
 from typing import TYPE_CHECKING, Any
 
 if TYPE_CHECKING:
+    from jaxbundle.approximate.absolute_orientation import AbsoluteOrientation, absolute_orientation
     from jaxbundle.approximate.intersection import intersect
     from jaxbundle.approximate.resection import Resection, resection
     from jaxbundle.approximate.three_point_resection import ThreePointResection, three_point_resection
@@ -53,6 +54,7 @@ if TYPE_CHECKING:
     from jaxbundle.camera.registry import CAMERA_MODELS
     from jaxbundle.diagnosis.adjusted import findings
     from jaxbundle.diagnosis.before import plausibility, prepared
+    from jaxbundle.geometry.similarity import Similarity
     from jaxbundle.io import read, read_bal, read_block_folder, write_bal, write_block_folder
     from jaxbundle.planning.flight import AerialCamera
     from jaxbundle.planning.simulate import Simulation, simulate
@@ -84,6 +86,7 @@ if TYPE_CHECKING:
 __version__ = "0.1.0"
 
 _MODULES = {
+    "approximate.absolute_orientation": ("AbsoluteOrientation", "absolute_orientation"),
     "approximate.intersection": ("intersect",),
     "approximate.resection": ("Resection", "resection"),
     "approximate.three_point_resection": ("ThreePointResection", "three_point_resection"),
@@ -122,6 +125,7 @@ _MODULES = {
     "camera.registry": ("CAMERA_MODELS",),
     "diagnosis.adjusted": ("findings",),
     "diagnosis.before": ("plausibility", "prepared"),
+    "geometry.similarity": ("Similarity",),
     "io": ("read", "read_bal", "read_block_folder", "write_bal", "write_block_folder"),
     "planning.flight": ("AerialCamera",),
     "planning.simulate": ("Simulation", "simulate"),
@@ -162,6 +166,7 @@ __all__ = [
     "PARAMETERS",
     "PLANES",
     "STATIONS",
+    "AbsoluteOrientation",
     "Adjustment",
     "AerialCamera",
     "AngleRule",
@@ -193,6 +198,7 @@ __all__ = [
     "Reliability",
     "Resection",
     "Severity",
+    "Similarity",
     "Simulation",
     "Snooping",
     "Status",
@@ -201,6 +207,7 @@ __all__ = [
     "ThreePointResection",
     "Tukey",
     "VarianceComponents",
+    "absolute_orientation",
     "adjust",
     "adjust_many",
     "all_control",

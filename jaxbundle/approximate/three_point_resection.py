@@ -65,7 +65,7 @@ def three_point_resection(
     Example:
         >>> import jaxbundle as jb
         >>> points = [[0, 0, 0], [100, 0, 0], [0, 100, 5]]
-        >>> found = jb.three_point_resection(points, [[0, 0, -1], [1, 0, -2], [0, 1, -2]])
+        >>> found = jb.three_point_resection(points, [[-30, -40, -200], [70, -40, -200], [-30, 60, -195]])
         >>> found.projection_centre[found.exact]
     """
     require_float64()
