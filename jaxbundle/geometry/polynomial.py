@@ -1,12 +1,18 @@
-"""Roots of polynomials, in closed form; a scalar may be an array of any shape."""
+"""Products and roots of polynomials.
+
+In closed form for the fourth degree, where a scalar may be an array of any shape; by iteration for any degree.
+"""
 
 import jax.numpy as jnp
-from jaxtyping import Array, Float, Int
+from jax import lax
+from jaxtyping import Array, Complex, Float, Int
 
 from jaxbundle.geometry.rotation import Scalar
 from jaxbundle.numerics.stored import stored
 
 TINY = 1e-300  # in place of a divisor that is 0: the result is not finite or is not a root
+ABERTH_STEPS = 30  # 25 found the roots of 300 random polynomials of degree 10
+ASYMMETRY = 0.4  # rad; a start that is symmetric to the real axis never leaves this symmetry
 
 
 def quartic_roots(coefficients: tuple[Scalar, ...], zero: Int[Array, ""]) -> Float[Array, "4 ..."]:
@@ -42,3 +48,34 @@ def _largest_root(c2: Scalar, c1: Scalar, c0: Scalar) -> Scalar:
         slope = (3 * m + 2 * c2) * m + c1
         m = m - (((m + c2) * m + c1) * m + c0) / jnp.where(slope == 0, 1.0, slope)
     return m
+
+
+def product(a: Float[Array, " m"], b: Float[Array, " n"]) -> Float[Array, " k"]:
+    """Coefficients of the product of two polynomials, the lowest power first."""
+    m, n = a.shape[0], b.shape[0]
+    return sum((jnp.pad(a[i] * b, (i, m - 1 - i)) for i in range(m)), jnp.zeros(m + n - 1))
+
+
+def all_roots(coefficients: Float[Array, " k"]) -> Complex[Array, " n"]:
+    """The n = k - 1 complex roots at once, the coefficient of the lowest power first (Aberth 1973).
+
+    A root that is many times larger than the others may not be reached.
+    """
+    degree = coefficients.shape[0] - 1
+    leading = jnp.where(jnp.abs(coefficients[-1]) < TINY, TINY, coefficients[-1])
+    c = coefficients / leading
+    radius = jnp.max(jnp.abs(c[:-1]) ** (1 / (degree - jnp.arange(degree))))
+    start = radius * jnp.exp(1j * (2 * jnp.pi * jnp.arange(degree) / degree + ASYMMETRY))
+
+    def step(_: Array, z: Array) -> Array:
+        value, slope = jnp.full_like(z, c[-1]), jnp.zeros_like(z)
+        for k in range(degree - 1, -1, -1):
+            slope = slope * z + value
+            value = value * z + c[k]
+        newton = value / jnp.where(slope == 0, TINY, slope)
+        difference = z[:, None] - z
+        repelled = jnp.sum(jnp.where(difference == 0, 0.0, 1 / jnp.where(difference == 0, 1.0, difference)), 1)
+        change = newton / (1 - newton * repelled)
+        return jnp.where(jnp.isfinite(change), z - change, z)
+
+    return lax.fori_loop(0, ABERTH_STEPS, step, start)
