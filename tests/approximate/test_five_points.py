@@ -53,7 +53,7 @@ def test_random_images(flat):
     error = np.where(real, error, np.inf).min(1)
     assert (error < 1e-6).mean() > 0.995
     good = error < 1e-6
-    rotations, bases = jax.vmap(motions_from_essential)(np.asarray(e)[np.arange(500), best])
+    rotations, bases = jax.vmap(motions_from_essential)(jnp.asarray(e)[np.arange(500), best])
     off = np.abs(rotations - r[:, None]).max((2, 3)) + np.abs(bases - t[:, None]).max(2)
     assert off.min(1)[good].max() < 1e-5
     np.testing.assert_allclose(np.linalg.det(np.asarray(rotations)[good]), 1.0, atol=1e-6)
@@ -84,7 +84,7 @@ def test_homography_of_four_rays():
 
 def test_roots_of_the_tenth_degree():
     roots = np.random.default_rng(0).normal(0, 1, (200, 10))
-    coefficients = np.stack([np.poly(row)[::-1] for row in roots])
-    found = np.asarray(jax.vmap(all_roots)(coefficients))
+    coefficients = jnp.stack([np.poly(row)[::-1] for row in roots])
+    found = np.array(jax.vmap(all_roots)(coefficients), complex)
     np.testing.assert_allclose(found.imag, 0, atol=1e-5)
     np.testing.assert_allclose(np.sort(found.real, 1), np.sort(roots, 1), atol=1e-5)
