@@ -17,6 +17,7 @@ from typing import TYPE_CHECKING, Any
 if TYPE_CHECKING:
     from jaxbundle.approximate.absolute_orientation import AbsoluteOrientation, absolute_orientation
     from jaxbundle.approximate.intersection import intersect
+    from jaxbundle.approximate.relative_orientation import RelativeOrientation, relative_orientation
     from jaxbundle.approximate.resection import Resection, resection
     from jaxbundle.approximate.three_point_resection import ThreePointResection, three_point_resection
     from jaxbundle.block.block import (
@@ -88,6 +89,7 @@ __version__ = "0.1.0"
 _MODULES = {
     "approximate.absolute_orientation": ("AbsoluteOrientation", "absolute_orientation"),
     "approximate.intersection": ("intersect",),
+    "approximate.relative_orientation": ("RelativeOrientation", "relative_orientation"),
     "approximate.resection": ("Resection", "resection"),
     "approximate.three_point_resection": ("ThreePointResection", "three_point_resection"),
     "block.block": (
@@ -195,6 +197,7 @@ __all__ = [
     "Problem",
     "Progress",
     "Rays",
+    "RelativeOrientation",
     "Reliability",
     "Resection",
     "Severity",
@@ -238,6 +241,7 @@ __all__ = [
     "read_bal",
     "read_block_folder",
     "refraction_coefficient",
+    "relative_orientation",
     "reliability",
     "report_dict",
     "report_text",
