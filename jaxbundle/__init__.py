@@ -15,8 +15,11 @@ import importlib
 from typing import TYPE_CHECKING, Any
 
 if TYPE_CHECKING:
+    from jaxbundle.approximate.absolute_orientation import AbsoluteOrientation, absolute_orientation
     from jaxbundle.approximate.intersection import intersect
+    from jaxbundle.approximate.relative_orientation import RelativeOrientation, relative_orientation
     from jaxbundle.approximate.resection import Resection, resection
+    from jaxbundle.approximate.three_point_resection import ThreePointResection, three_point_resection
     from jaxbundle.block.block import (
         Block,
         Camera,
@@ -52,6 +55,7 @@ if TYPE_CHECKING:
     from jaxbundle.camera.registry import CAMERA_MODELS
     from jaxbundle.diagnosis.adjusted import findings
     from jaxbundle.diagnosis.before import plausibility, prepared
+    from jaxbundle.geometry.similarity import Similarity
     from jaxbundle.io import read, read_bal, read_block_folder, write_bal, write_block_folder
     from jaxbundle.planning.flight import AerialCamera
     from jaxbundle.planning.simulate import Simulation, simulate
@@ -83,8 +87,11 @@ if TYPE_CHECKING:
 __version__ = "0.1.0"
 
 _MODULES = {
+    "approximate.absolute_orientation": ("AbsoluteOrientation", "absolute_orientation"),
     "approximate.intersection": ("intersect",),
+    "approximate.relative_orientation": ("RelativeOrientation", "relative_orientation"),
     "approximate.resection": ("Resection", "resection"),
+    "approximate.three_point_resection": ("ThreePointResection", "three_point_resection"),
     "block.block": (
         "Block",
         "Camera",
@@ -120,6 +127,7 @@ _MODULES = {
     "camera.registry": ("CAMERA_MODELS",),
     "diagnosis.adjusted": ("findings",),
     "diagnosis.before": ("plausibility", "prepared"),
+    "geometry.similarity": ("Similarity",),
     "io": ("read", "read_bal", "read_block_folder", "write_bal", "write_block_folder"),
     "planning.flight": ("AerialCamera",),
     "planning.simulate": ("Simulation", "simulate"),
@@ -160,6 +168,7 @@ __all__ = [
     "PARAMETERS",
     "PLANES",
     "STATIONS",
+    "AbsoluteOrientation",
     "Adjustment",
     "AerialCamera",
     "AngleRule",
@@ -188,16 +197,20 @@ __all__ = [
     "Problem",
     "Progress",
     "Rays",
+    "RelativeOrientation",
     "Reliability",
     "Resection",
     "Severity",
+    "Similarity",
     "Simulation",
     "Snooping",
     "Status",
     "Structure",
     "Subset",
+    "ThreePointResection",
     "Tukey",
     "VarianceComponents",
+    "absolute_orientation",
     "adjust",
     "adjust_many",
     "all_control",
@@ -228,6 +241,7 @@ __all__ = [
     "read_bal",
     "read_block_folder",
     "refraction_coefficient",
+    "relative_orientation",
     "reliability",
     "report_dict",
     "report_text",
@@ -235,6 +249,7 @@ __all__ = [
     "simulate",
     "snoop",
     "three_groups",
+    "three_point_resection",
     "tie_rays",
     "unknown_rule",
     "validate",

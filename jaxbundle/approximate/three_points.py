@@ -7,32 +7,61 @@ gamma between the rays, the law of cosines
     s1^2 + s3^2 - 2 s1 s3 cos beta  = b^2
     s1^2 + s2^2 - 2 s1 s2 cos gamma = c^2
 
-leaves an equation of fourth degree in v = s3 / s1 (Haralick, Lee, Ottenberg, Noelle 1994, sec. 3.1), thus up to four
-solutions. All quantities are scalars, which may be arrays of any one shape.
+leaves an equation of fourth degree in v = s3 / s1 (Haralick, Lee, Ottenberg, Noelle 1994, eq. 9), thus up to four
+solutions. Two solutions may have v in common and differ in u = s2 / s1 only, so both u of each v are candidates. Newton
+steps on the three equations decide which of the eight candidates are solutions.
+
+Half of the derivative of the equations with respect to the distances,
+
+        [ 0               s2 - s3 cos alpha   s3 - s2 cos alpha ]
+    J = [ s1 - s3 cos beta   0                s3 - s1 cos beta  ]
+        [ s1 - s2 cos gamma  s2 - s1 cos gamma   0              ]
+
+is singular where two solutions coincide: the projection centre lies on the danger cylinder, which stands on the
+circumscribed circle of the three points. All quantities are scalars, which may be arrays of any one shape.
 """
 
-from typing import Any
+from typing import Any, NamedTuple
 
 import jax
 import jax.numpy as jnp
-from jaxtyping import Array, Float, Int
+from jaxtyping import Array, Bool, Int
 
 from jaxbundle.approximate.one_image import Measured, Orientation
-from jaxbundle.camera.collinearity import Vector, photo_vector
+from jaxbundle.camera.collinearity import photo_vector
 from jaxbundle.camera.direction import direction
 from jaxbundle.camera.model import CameraModel
 from jaxbundle.geometry import rotation
+from jaxbundle.geometry.polynomial import quartic_roots
 from jaxbundle.geometry.rotation import Rotation, Scalar
+from jaxbundle.geometry.vectors import Vector, cross, dot, minus, squared, times, unit
 from jaxbundle.numerics.stored import stored
 
 Triple = tuple[Vector, Vector, Vector]
-TINY = 1e-300  # in place of a divisor that is 0: what follows is not finite or no solution, and not chosen
+NEWTON_STEPS = 5  # a candidate from the closed form has 8 digits or is none; at a double root a step halves the error
+SOLVED = 1e-9  # of the squares of the sides: misfit of the law of cosines
+SAME = 1e-7  # of the distances: solutions that differ by less are one
+
+
+class ThreePointSolutions(NamedTuple):
+    """Four in a new leading axis, the solutions first; NaN where there is none.
+
+    `distances`: from the projection centre to the points. `determinant`: of J, its rows scaled to unit length, 0 on the
+    danger cylinder. `exact`: whether the law of cosines is satisfied. Where it is not, the values are those of the real
+    part of a complex root: with errors of measurement two equal roots become a complex pair.
+    """
+
+    rotation: Rotation
+    centre: Vector
+    distances: Vector
+    determinant: Scalar
+    exact: Bool[Array, "4 ..."]
 
 
 def direct_orientation(model: CameraModel, m: Measured) -> Orientation:
     """The orientation of an image from the three points that span the largest angles.
 
-    Of the four solutions that which is the best for all points: the least sum of 1 - cos of the angles off the rays.
+    Of the solutions that which is the best for all points: the least sum of 1 - cos of the angles off the rays.
     """
     interior = tuple(jnp.broadcast_to(element, m.coordinates[0].shape) for element in m.interior)
     used, zero = m.weights[0] > 0, m.zero
@@ -46,44 +75,105 @@ def direct_orientation(model: CameraModel, m: Measured) -> Orientation:
         return x, y, z
 
     mean = tuple(jnp.sum(jnp.where(used, x, 0.0), 0) / jnp.sum(used, 0) for x in d)
-    first = most(_squared(_minus(d, (mean[0], mean[1], mean[2]))))
-    second = most(_squared(_minus(d, picked(d, first))))
-    third = most(jnp.abs(_dot(d, _cross(picked(d, first), picked(d, second)))))
+    first = most(squared(minus(d, (mean[0], mean[1], mean[2]))))
+    second = most(squared(minus(d, picked(d, first))))
+    third = most(jnp.abs(dot(d, cross(picked(d, first), picked(d, second)))))
     points, directions = ((picked(x, first), picked(x, second), picked(x, third)) for x in (m.points, d))
     points, directions = stored((points, directions), zero)
-    rotations, centres = stored(three_point_solutions(points, directions, zero), zero)
+    solutions = three_point_solutions(points, directions, zero)
+    rotations, centres = stored((solutions.rotation, solutions.centre), zero)
     x, y, z, along_x, along_y, along_z = (e[:, None] for e in (*m.points, *d))  # against the axis of the solutions
     vector = photo_vector(rotations, centres, (x, y, z))
-    cosine = _dot(vector, (along_x, along_y, along_z)) / jnp.sqrt(_squared(vector))
+    cosine = dot(vector, (along_x, along_y, along_z)) / jnp.sqrt(squared(vector))
     misfit = jnp.sum(jnp.where(used[:, None], 1 - cosine, 0.0), 0)
     best = jnp.argmin(jnp.where(jnp.isnan(misfit), jnp.inf, misfit), 0)[None]
     return Orientation(*jax.tree.map(lambda x: jnp.take_along_axis(x, best, 0)[0], (rotations, centres)))
 
 
-def three_point_solutions(points: Triple, directions: Triple, zero: Int[Array, ""]) -> tuple[Rotation, Vector]:
-    """Rotations (object_from_image) and projection centres, four in a new leading axis; not finite where there is none.
-
-    Complex roots take part with their real part: with errors of measurement two equal roots become a complex pair.
-    `zero`: see `stored`.
-    """
-    aa, bb, cc = (_squared(_minus(points[i], points[j])) for i, j in ((1, 2), (0, 2), (0, 1)))
-    alpha, beta, gamma = (_dot(directions[i], directions[j]) for i, j in ((1, 2), (0, 2), (0, 1)))  # their cosines
-    coefficients = stored(_grunert(aa / bb, cc / bb, alpha, beta, gamma), zero)
-    v = stored(quartic_roots(coefficients, zero), zero)
-    s1_squared = bb / (1 + v * v - 2 * v * beta)
-    # s2 from the triangle with side c has two solutions: that which fits side a better
-    root = jnp.sqrt(jnp.maximum(cc / s1_squared - 1 + gamma * gamma, 0.0))
-    u, other = gamma + root, gamma - root
-    misfit, other_misfit = (jnp.abs(x * x + v * v - 2 * x * v * alpha - aa / s1_squared) for x in (u, other))
-    u = jnp.where(misfit <= other_misfit, u, other)
-    s1 = jnp.sqrt(jnp.where((v > 0) & (u > 0), s1_squared, jnp.nan))
-    s1, u = stored((s1, u), zero)
+def three_point_solutions(points: Triple, directions: Triple, zero: Int[Array, ""]) -> ThreePointSolutions:
+    """All rotations (object_from_image) and projection centres; `directions`: unit vectors. `zero`: see `stored`."""
+    sides = squared(minus(points[1], points[2])), squared(minus(points[0], points[2])), squared(minus(*points[:2]))
+    cosines = dot(*directions[1:]), dot(directions[0], directions[2]), dot(*directions[:2])
+    sides, cosines = stored((sides, cosines), zero)
+    candidates, is_fallback = _candidates(sides, cosines, zero)
+    s = candidates = stored(candidates, zero)
+    for _ in range(NEWTON_STEPS):
+        s = stored(minus(s, _newton_step(s, sides, cosines)), zero)
+    largest = jnp.maximum(jnp.maximum(sides[0], sides[1]), sides[2])
+    misfit = jnp.max(jnp.abs(jnp.stack(_law_of_cosines(s, sides, cosines))), 0) / largest
+    shortest = jnp.minimum(jnp.minimum(s[0], s[1]), s[2])
+    exact = _without_repeats(s, (misfit < SOLVED) & (shortest > 0))
+    kept = jnp.argsort(jnp.where(exact, 0, jnp.where(is_fallback, 1, 2)), axis=0)[:4]
+    exact, is_fallback, s, candidates = jax.tree.map(
+        lambda x: jnp.take_along_axis(x, kept, 0), (exact, is_fallback, s, candidates)
+    )
+    s = jax.tree.map(lambda x, y: jnp.where(exact, x, jnp.where(is_fallback, y, jnp.nan)), s, candidates)
+    s = stored(s, zero)
     one, two, three = directions
-    in_image = _times(s1, one), _times(u * s1, two), _times(v * s1, three)
+    in_image = times(s[0], one), times(s[1], two), times(s[2], three)
     a, b = stored((_axes(points), _axes(in_image)), zero)
     object_from_image = stored(rotation.product(a, rotation.transpose(b)), zero)
-    centre = _minus(points[0], rotation.apply(object_from_image, in_image[0]))
-    return object_from_image, centre
+    centre = minus(points[0], rotation.apply(object_from_image, in_image[0]))
+    rows = [unit(row) for row in _derivative(s, cosines)]
+    return ThreePointSolutions(object_from_image, centre, s, dot(rows[0], cross(rows[1], rows[2])), exact)
+
+
+def _candidates(sides: Vector, cosines: Vector, zero: Int[Array, ""]) -> tuple[Vector, Bool[Array, "8 ..."]]:
+    """Distances from both u of each v, and whether it is the one whose real part is used where there is no solution."""
+    (aa, bb, cc), (alpha, beta, gamma) = sides, cosines
+    v = stored(quartic_roots(stored(_grunert(aa / bb, cc / bb, alpha, beta, gamma), zero), zero), zero)
+    s1_squared = bb / (1 + v * v - 2 * v * beta)
+    root = jnp.sqrt(jnp.maximum(cc / s1_squared - 1 + gamma * gamma, 0.0))
+    u = jnp.stack([gamma + root, gamma - root])
+    misfit = jnp.abs(u * u + v * v - 2 * u * v * alpha - aa / s1_squared)
+    better = jnp.stack([misfit[0] <= misfit[1], misfit[0] > misfit[1]])
+    s1 = jnp.sqrt(s1_squared)
+    is_fallback = better & (v > 0) & (u > 0)
+    shape = (8, *jnp.shape(v)[1:])
+    s1, s2, s3 = (jnp.broadcast_to(x, u.shape).reshape(shape) for x in (s1, u * s1, v * s1))
+    return (s1, s2, s3), is_fallback.reshape(shape)
+
+
+def _law_of_cosines(s: Vector, sides: Vector, cosines: Vector) -> Vector:
+    """What is left of the three equations."""
+    (s1, s2, s3), (alpha, beta, gamma) = s, cosines
+    return (
+        s2 * s2 + s3 * s3 - 2 * s2 * s3 * alpha - sides[0],
+        s1 * s1 + s3 * s3 - 2 * s1 * s3 * beta - sides[1],
+        s1 * s1 + s2 * s2 - 2 * s1 * s2 * gamma - sides[2],
+    )
+
+
+def _derivative(s: Vector, cosines: Vector) -> Triple:
+    """The rows of J."""
+    (s1, s2, s3), (alpha, beta, gamma) = s, cosines
+    zero = jnp.zeros_like(s1)
+    return (
+        (zero, s2 - s3 * alpha, s3 - s2 * alpha),
+        (s1 - s3 * beta, zero, s3 - s1 * beta),
+        (s1 - s2 * gamma, s2 - s1 * gamma, zero),
+    )
+
+
+def _newton_step(s: Vector, sides: Vector, cosines: Vector) -> Vector:
+    """What is to be subtracted from the distances: (2 J)^-1 times the misfits."""
+    one, two, three = _derivative(s, cosines)
+    columns = cross(two, three), cross(three, one), cross(one, two)  # of the inverse, times the determinant
+    determinant = dot(one, columns[0])
+    misfits = _law_of_cosines(s, sides, cosines)
+    scale = 0.5 / jnp.where(determinant == 0, jnp.inf, determinant)
+    x, y, z = (scale * sum(f * column[i] for f, column in zip(misfits, columns, strict=True)) for i in range(3))
+    return x, y, z
+
+
+def _without_repeats(s: Vector, valid: Bool[Array, "8 ..."]) -> Bool[Array, "8 ..."]:
+    """Of solutions that agree only the first one counts."""
+    kept, distances = [valid[0]], jnp.stack(s)
+    for i in range(1, 8):
+        difference = jnp.sum(jnp.abs(distances[:, i, None] - distances[:, :i]), 0)
+        apart = difference > SAME * jnp.sum(jnp.abs(distances[:, i]), 0)
+        kept.append(valid[i] & jnp.all(apart | ~jnp.stack(kept), 0))
+    return jnp.stack(kept)
 
 
 def _grunert(a: Scalar, c: Scalar, alpha: Scalar, beta: Scalar, gamma: Scalar) -> tuple[Scalar, ...]:
@@ -106,68 +196,9 @@ def _grunert(a: Scalar, c: Scalar, alpha: Scalar, beta: Scalar, gamma: Scalar) -
     )
 
 
-def quartic_roots(coefficients: tuple[Scalar, ...], zero: Int[Array, ""]) -> Float[Array, "4 ..."]:
-    """Real parts of the four roots of a4 x^4 + ... + a0, by Ferrari's method; `zero`: see `stored`."""
-    a4, a3, a2, a1, a0 = coefficients
-    a4 = jnp.where(jnp.abs(a4) < TINY, TINY, a4)
-    b, c, d, e = a3 / a4, a2 / a4, a1 / a4, a0 / a4
-    # x = y - b / 4:  y^4 + p y^2 + q y + r
-    p = c - 3 * b * b / 8
-    q = d - b * c / 2 + b**3 / 8
-    r = e - b * d / 4 + b * b * c / 16 - 3 * b**4 / 256
-    p, q, r = stored((p, q, r), zero)
-    m = stored(_largest_root(p, p * p / 4 - r, -q * q / 8), zero)
-    root = jnp.sqrt(2 * jnp.maximum(m, 0.0))
-    # 2 q / root, by the resolvent without the division: in a symmetric figure both are 0
-    split = jnp.where(q < 0, -4.0, 4.0) * jnp.sqrt(jnp.maximum((m + p / 2) ** 2 - r, 0.0))
-    inner = [jnp.sqrt(jnp.maximum(-2 * (p + m) - sign * split, 0.0)) for sign in (1, -1)]
-    roots = (root + inner[0], root - inner[0], -root + inner[1], -root - inner[1])
-    return jnp.stack([x / 2 - b / 4 for x in roots])
-
-
-def _largest_root(c2: Scalar, c1: Scalar, c0: Scalar) -> Scalar:
-    """Of m^3 + c2 m^2 + c1 m + c0, with c0 <= 0 real and not negative: in closed form (Cardano, Viete)."""
-    q = (c2 * c2 - 3 * c1) / 9
-    r = (2 * c2**3 - 9 * c2 * c1 + 27 * c0) / 54
-    three = r * r < q**3
-    root = jnp.sqrt(jnp.maximum(q, TINY))
-    angle = jnp.arccos(jnp.clip(r / root**3, -1.0, 1.0))
-    a = -jnp.sign(r) * jnp.cbrt(jnp.abs(r) + jnp.sqrt(jnp.maximum(r * r - q**3, 0.0)))
-    one = a + q / jnp.where(a == 0, 1.0, a)
-    m = jnp.where(three, -2 * root * jnp.cos((angle + 2 * jnp.pi) / 3), one) - c2 / 3
-    for _ in range(2):  # the closed form loses digits
-        slope = (3 * m + 2 * c2) * m + c1
-        m = m - (((m + c2) * m + c1) * m + c0) / jnp.where(slope == 0, 1.0, slope)
-    return m
-
-
 def _axes(points: Triple) -> Rotation:
     """Matrix whose columns are the axes of a triangle: first side, its normal crossed with it, the normal."""
-    side = _unit(_minus(points[1], points[0]))
-    normal = _unit(_cross(side, _minus(points[2], points[0])))
-    across = _cross(normal, side)
+    side = unit(minus(points[1], points[0]))
+    normal = unit(cross(side, minus(points[2], points[0])))
+    across = cross(normal, side)
     return tuple(axis[i] for i in range(3) for axis in (side, across, normal))
-
-
-def _minus(a: Vector, b: Vector) -> Vector:
-    return a[0] - b[0], a[1] - b[1], a[2] - b[2]
-
-
-def _times(s: Scalar, a: Vector) -> Vector:
-    return s * a[0], s * a[1], s * a[2]
-
-
-def _dot(a: Vector, b: Vector) -> Scalar:
-    return a[0] * b[0] + a[1] * b[1] + a[2] * b[2]
-
-
-def _squared(a: Vector) -> Scalar:
-    return _dot(a, a)
-
-
-def _cross(a: Vector, b: Vector) -> Vector:
-    return a[1] * b[2] - a[2] * b[1], a[2] * b[0] - a[0] * b[2], a[0] * b[1] - a[1] * b[0]
-
-
-def _unit(a: Vector) -> Vector:
-    return _times(1 / jnp.sqrt(_squared(a)), a)

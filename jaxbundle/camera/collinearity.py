@@ -14,8 +14,7 @@ the package is an automatic derivative of this function and of a camera model pu
 """
 
 from jaxbundle.geometry.rotation import Rotation, Scalar
-
-Vector = tuple[Scalar, Scalar, Scalar]
+from jaxbundle.geometry.vectors import Vector
 
 
 def photo_vector(rotation: Rotation, projection_centre: Vector, object_point: Vector) -> Vector:

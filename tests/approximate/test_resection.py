@@ -7,7 +7,6 @@ import numpy as np
 import pytest
 
 from jaxbundle.approximate.resection import Resection, resection
-from jaxbundle.approximate.three_points import quartic_roots
 from jaxbundle.block.block import (
     Block,
     Camera,
@@ -22,6 +21,7 @@ from jaxbundle.camera.brown import BROWN, DISTORTION_FREE
 from jaxbundle.camera.collinearity import photo_vector
 from jaxbundle.camera.forward import BAL
 from jaxbundle.camera.model import CameraModel
+from jaxbundle.geometry.polynomial import quartic_roots
 from jaxbundle.geometry.rotation import ALPHA_OMEGA_KAPPA, OMEGA_PHI_KAPPA
 from jaxbundle.planning.simulate import exact_coordinates
 from jaxbundle.solve.adjust import adjust

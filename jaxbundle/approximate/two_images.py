@@ -1,0 +1,80 @@
+"""Rotation and base of two images from an essential matrix or a homography.
+
+X2 = R X1 + t. An essential matrix E = [t]x R has two rotations and a base of unknown sign (Horn 1990, eqs. 17 and 24):
+
+    t t^T = tr(E E^T) / 2 I - E E^T,        t^2 R = cof E - [t]x E
+
+A homography H = R + t n^T of a plane with normal n, its second singular value 1, has two solutions and their opposites
+(Ma, Soatto, Kosecka, Sastry 2004, sec. 5.3.3). With v_k the right singular vectors and S_k the squared singular values:
+
+    u+- = (sqrt(1 - S3) v1 +- sqrt(S1 - 1) v3) / sqrt(S1 - S3)
+    U = [v2, u, v2 x u],  W = [H v2, H u, H v2 x H u],  R = W U^T,  n = v2 x u,  t = (H - R) n
+"""
+
+import jax.numpy as jnp
+from jaxtyping import Array, Float
+
+SMALL = 1e-30  # in place of a squared base that is 0
+
+
+def cross_matrix(t: Float[Array, "3"]) -> Float[Array, "3 3"]:
+    """[t]x."""
+    zero = jnp.zeros(())
+    return jnp.stack([zero, -t[2], t[1], t[2], zero, -t[0], -t[1], t[0], zero]).reshape(3, 3)
+
+
+def cofactor_matrix(m: Float[Array, "3 3"]) -> Float[Array, "3 3"]:
+    """The determinant times the transposed inverse."""
+    return jnp.stack([jnp.cross(m[1], m[2]), jnp.cross(m[2], m[0]), jnp.cross(m[0], m[1])])
+
+
+def motions_from_essential(e: Float[Array, "3 3"]) -> tuple[Float[Array, "4 3 3"], Float[Array, "4 3"]]:
+    """The four pairs of rotation and base."""
+    square = e @ e.T
+    outer = 0.5 * jnp.trace(square) * jnp.eye(3) - square
+    k = jnp.argmax(jnp.diagonal(outer))
+    t = outer[k] / jnp.sqrt(jnp.maximum(outer[k, k], SMALL))
+    length, cofactors, product = jnp.maximum(t @ t, SMALL), cofactor_matrix(e), cross_matrix(t) @ e
+    one, two = (cofactors - product) / length, (cofactors + product) / length
+    return jnp.stack([one, one, two, two]), jnp.stack([t, -t, t, -t])
+
+
+def homography(first: Float[Array, "4 3"], second: Float[Array, "4 3"]) -> Float[Array, "3 3"]:
+    """The matrix with second ~ H first for four pairs of rays; not finite where three of them lie in a plane."""
+    a, b = cofactor_matrix(first[:3]), cofactor_matrix(second[:3])  # of rows: inverse of the columns but for a factor
+    factors = (b @ second[3]) / (a @ first[3])
+    return (second[:3].T * factors) @ a
+
+
+def motions_from_homography(
+    h: Float[Array, "3 3"],
+) -> tuple[Float[Array, "4 3 3"], Float[Array, "4 3"], Float[Array, "4 3"]]:
+    """The four rotations, bases in units of the distance of the plane, and normals of the plane."""
+    h = h * jnp.sign(jnp.linalg.det(h))
+    values, v = jnp.linalg.eigh(h.T @ h)
+    h, s1, s3 = h / jnp.sqrt(values[1]), values[2] / values[1], values[0] / values[1]
+    v1, v2, v3 = v[:, 2], v[:, 1], v[:, 0]
+    spread = jnp.sqrt(jnp.maximum(s1 - s3, SMALL))
+    a, b = jnp.sqrt(jnp.maximum(1 - s3, 0.0)) / spread, jnp.sqrt(jnp.maximum(s1 - 1, 0.0)) / spread
+    found = []
+    for sign in (1.0, -1.0):
+        u = a * v1 + sign * b * v3
+        n = jnp.cross(v2, u)
+        w = jnp.stack([h @ v2, h @ u, jnp.cross(h @ v2, h @ u)], 1)
+        r = w @ jnp.stack([v2, u, n], 1).T
+        t = (h - r) @ n
+        found += [(r, t, n), (r, -t, -n)]
+    rotations, bases, normals = (jnp.stack(part) for part in zip(*found, strict=True))
+    return rotations, bases, normals
+
+
+def distances(
+    rotation: Float[Array, "3 3"], base: Float[Array, "3"], first: Float[Array, "ray 3"], second: Float[Array, "ray 3"]
+) -> tuple[Float[Array, " ray"], Float[Array, " ray"], Float[Array, " ray"]]:
+    """Along both unit vectors to the points where rays pass each other, and squared sines of the angles between them.
+
+    X2 = R X1 + t. The distances are multiplied by the squared sine, which keeps their sign and divides by nothing.
+    """
+    y = first @ rotation.T
+    a, yt, dt = jnp.sum(y * second, 1), y @ base, second @ base
+    return a * dt - yt, dt - a * yt, jnp.sum(jnp.cross(y, second) ** 2, 1)
