@@ -86,5 +86,5 @@ def test_roots_of_the_tenth_degree():
     roots = np.random.default_rng(0).normal(0, 1, (200, 10))
     coefficients = jnp.stack([np.poly(row)[::-1] for row in roots])
     found = np.array(jax.vmap(all_roots)(coefficients), complex)
-    np.testing.assert_allclose(found.imag, 0, atol=1e-5)
-    np.testing.assert_allclose(np.sort(found.real, 1), np.sort(roots, 1), atol=1e-5)
+    np.testing.assert_allclose(np.imag(found), 0, atol=1e-5)
+    np.testing.assert_allclose(np.sort(np.real(found), 1), np.sort(roots, 1), atol=1e-5)
