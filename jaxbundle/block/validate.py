@@ -3,7 +3,7 @@
 import numpy as np
 from jaxtyping import Bool, Int
 
-from jaxbundle.block.block import Block
+from jaxbundle.block.block import Block, Structure
 from jaxbundle.block.consistency import inconsistencies
 from jaxbundle.block.datum import inner_needs_none, is_located
 from jaxbundle.block.datum_defect import datum_defect, insufficient
@@ -86,11 +86,16 @@ def _unusable_sigmas(block: Block) -> list[Problem]:
     ]
 
 
+def _coordinates(structure: Structure) -> int:
+    """Residuals of a ray; of photographs where no camera is there yet."""
+    return structure.model.components if structure.cameras else 2
+
+
 def _weak_images(block: Block) -> list[Problem]:
     structure = block.structure
     first = structure.ray_repeat == 0  # a point that is measured again on an image tells the image nothing new
     rays = np.bincount(structure.ray_image[first], minlength=len(structure.image_names))
-    known = structure.model.components * rays + _observed_of(block, "image", len(rays))
+    known = _coordinates(structure) * rays + _observed_of(block, "image", len(rays))
     return [
         Problem(
             f"image {structure.image_names[i]} has {rays[i]} {'ray' if rays[i] == 1 else 'rays'}, "
@@ -109,7 +114,7 @@ def _is_weak_point(block: Block) -> Bool[np.ndarray, " point"]:
     structure = block.structure
     first = structure.ray_repeat == 0
     rays = np.bincount(structure.ray_point[first], minlength=len(structure.point_names))
-    return structure.model.components * rays + _observed_of(block, "point", len(rays)) < structure.point_free.sum(1)
+    return _coordinates(structure) * rays + _observed_of(block, "point", len(rays)) < structure.point_free.sum(1)
 
 
 def _weak_points(block: Block) -> list[Problem]:
