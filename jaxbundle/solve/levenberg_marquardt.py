@@ -26,7 +26,6 @@ from typing import Any, NamedTuple
 import equinox as eqx
 import jax
 import jax.numpy as jnp
-import lineax as lx
 import optimistix as optx
 from jaxtyping import Array, Bool, Float, Int
 
@@ -39,7 +38,7 @@ from jaxbundle.solve.damping import AbstractDamping, DampingState
 from jaxbundle.solve.stopping import AbstractStoppingRule, StepTaken
 
 RESULTS = optx.RESULTS
-_SINGULAR, _STAGNATION = RESULTS.promote(lx.RESULTS.singular), RESULTS.promote(lx.RESULTS.stagnation)
+_SINGULAR, _STAGNATION = RESULTS.singular, RESULTS.stagnation
 FLAT = 1e-8  # cosine of the angle between v and the column of an unknown: the limit of the angle rule
 LARGEST_DAMPING = 1e16  # beyond, a step no longer changes the unknowns in double precision
 
