@@ -18,7 +18,7 @@ import jax.numpy as jnp
 import numpy as np
 from jaxtyping import Array, Bool, Float
 
-from jaxbundle.block.block import Block, ExteriorOrientation, InteriorOrientation, Structure
+from jaxbundle.block.block import Block, Structure
 from jaxbundle.geometry import rotation
 from jaxbundle.geometry.rotation import Angles, Rotation, RotationSystem, Scalar
 from jaxbundle.numerics.compilation import Compiled
@@ -76,22 +76,6 @@ def _rotations(block: Block) -> Float[Array, "9 image"]:
 @Compiled
 def _compiled_rotations(system: RotationSystem, angles: Float[Array, "3 image"]) -> Float[Array, "9 image"]:
     return jnp.stack(system.rotation_from_angles(*angles))
-
-
-def with_unknowns(block: Block, unknowns: Unknowns) -> Block:
-    """The block with these values in place of its own."""
-    elements = block.interior.elements.shape[1]
-    angles = angles_near(tuple(unknowns.rotation), block.exterior.angles.T, block.structure.rotation_system)
-    return eqx.tree_at(
-        lambda b: (b.exterior, b.interior, b.parameters, b.object_points),
-        block,
-        (
-            ExteriorOrientation(unknowns.centre.T, jnp.stack(angles, -1)),
-            InteriorOrientation(unknowns.interior[:elements].T),
-            unknowns.parameters,
-            unknowns.points.T,
-        ),
-    )
 
 
 def corrected_in_angles(structure: Structure) -> Bool[np.ndarray, " image"] | None:

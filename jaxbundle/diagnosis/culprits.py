@@ -5,9 +5,8 @@ from collections.abc import Callable, Iterable
 import numpy as np
 
 from jaxbundle.block.findings import Finding, Kind, Subject
-from jaxbundle.solve.adjustment import Adjustment
 from jaxbundle.statistics.hypotheses import Cause
-from jaxbundle.statistics.suspects import MOST, SHOWN, Suspects, Suspicion, find_suspects
+from jaxbundle.statistics.suspects import MOST, SHOWN, Suspects, Suspicion
 
 NAMED = 5  # suspicions with a finding of their own
 ALTERNATIVES = 3  # named in one finding
@@ -40,13 +39,9 @@ CURES = {
 }
 
 
-def culprit_findings(adjustment: Adjustment) -> tuple[Finding, ...]:
-    """What is probably wrong with the observations, the gravest first; nothing where the residuals cannot be tested."""
-    return findings_of_suspects(find_suspects(adjustment), float(adjustment.sigma0))
-
-
 def findings_of_suspects(suspects: Suspects, sigma0: float) -> tuple[Finding, ...]:
-    """A finding for each of the first suspicions, and one that counts the others. `sigma0`: of the adjustment."""
+    """What is probably wrong with the observations: a finding for each of the first suspicions, and one that counts the
+    others. `sigma0`: of the adjustment."""
     named, rest = suspects.suspicions[:NAMED], suspects.suspicions[NAMED:]
     before = [sigma0, *(suspicion.sigma0_without for suspicion in named)]
     found = [_finding(suspicion, sigma0) for suspicion, sigma0 in zip(named, before, strict=False)]

@@ -152,7 +152,7 @@ def _border_rows(kind: str, index: Array, p: Problem) -> Int[Array, "member para
 
 
 def add_group(sums: ReducedSums, group: Group, rows: GroupRows, pairs: Array | None, p: Problem) -> ReducedSums:
-    """Adds a group of observations; of eliminated points nothing."""
+    """Adds the rows of a group by images and border; eliminated points take no part."""
     return add_rows(sums, touched_by_group(group, rows.rows, p), rows.residuals, pairs)
 
 

@@ -38,7 +38,9 @@ from jaxbundle.solve.damping import AbstractDamping, DampingState
 from jaxbundle.solve.stopping import AbstractStoppingRule, StepTaken
 
 RESULTS = optx.RESULTS
-_SINGULAR, _STAGNATION = RESULTS.singular, RESULTS.stagnation
+# inherited from lineax, as whose members a type checker takes them; `promote` would start JAX at import
+_SINGULAR: Any = RESULTS.singular
+_STAGNATION: Any = RESULTS.stagnation
 FLAT = 1e-8  # cosine of the angle between v and the column of an unknown: the limit of the angle rule
 LARGEST_DAMPING = 1e16  # beyond, a step no longer changes the unknowns in double precision
 

@@ -1,7 +1,7 @@
 """Data snooping (Baarda 1968): the most suspect observation is removed, the block is adjusted again, and so on.
 
 The suspicions are those of `suspects`: a control point that is wrong as a whole is removed as a whole, a fixed one gets
-unknown coordinates. A group that disagrees as a whole is told by `suspects` and not removed.
+unknown coordinates. `suspects` reports a group that disagrees as a whole; such a group is not removed.
 """
 
 import dataclasses

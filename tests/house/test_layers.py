@@ -1,6 +1,8 @@
 """The layers hold: imports go down only, none hides in a function, none leads back, and a file is one thing."""
 
 import ast
+import subprocess
+import sys
 from collections.abc import Iterator
 from pathlib import Path
 
@@ -121,3 +123,12 @@ def test_few_positional_arguments(room):
             if isinstance(node, ast.FunctionDef):
                 names = [a.arg for a in (*node.args.posonlyargs, *node.args.args) if a.arg not in ("self", "cls")]
                 assert len(names) <= MAX_POSITIONAL, f"{module}.{node.name}"
+
+
+def test_no_import_starts_jax():
+    """The number of devices can be chosen after all modules are imported, as the README says."""
+    modules = ", ".join(module for module in MODULES if not module.endswith("__main__"))
+    code = f"import jax, {modules}; jax.config.update('jax_num_cpu_devices', 3); assert jax.device_count() == 3"
+    command = [sys.executable, "-W", "ignore", "-c", code]
+    done = subprocess.run(command, cwd=ROOT, capture_output=True, text=True, check=False)
+    assert done.returncode == 0, done.stderr

@@ -1,4 +1,4 @@
-"""Whose a parameter is, is told by its owner and not by its name: any name will do."""
+"""The owner of a parameter is a field of its own: the name of the parameter may be any text."""
 
 import dataclasses
 

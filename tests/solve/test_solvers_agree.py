@@ -9,8 +9,8 @@ import pytest
 from cases.dense_adjustment import centred, dense_system, free_count, moved, residual_vector
 from cases.simulated_blocks import small_block
 
-from jaxbundle.block.block import Block
-from jaxbundle.block.unknowns import with_unknowns
+from jaxbundle.block.block import Block, ExteriorOrientation, InteriorOrientation
+from jaxbundle.block.unknowns import Unknowns, angles_near
 from jaxbundle.planning.simulate import simulate
 from jaxbundle.solve.adjust import adjust
 from jaxbundle.solve.adjustment import Adjustment, Status
@@ -37,6 +37,22 @@ def off(found: Block, reference: Adjustment) -> float:
         (found.object_points - expected.object_points, sd.object_points),
     )
     return max(float(jnp.max(jnp.abs(jnp.where(s > 0, d / jnp.where(s > 0, s, 1.0), 0.0)))) for d, s in differences)
+
+
+def with_unknowns(block: Block, unknowns: Unknowns) -> Block:
+    """The block with these values in place of its own."""
+    elements = block.interior.elements.shape[1]
+    angles = angles_near(tuple(unknowns.rotation), block.exterior.angles.T, block.structure.rotation_system)
+    return eqx.tree_at(
+        lambda b: (b.exterior, b.interior, b.parameters, b.object_points),
+        block,
+        (
+            ExteriorOrientation(unknowns.centre.T, jnp.stack(angles, -1)),
+            InteriorOrientation(unknowns.interior[:elements].T),
+            unknowns.parameters,
+            unknowns.points.T,
+        ),
+    )
 
 
 @pytest.mark.parametrize("method", ["levenberg-marquardt", "gauss-newton"])

@@ -5,12 +5,13 @@ import numpy as np
 import pytest
 from cases.gross_errors import BLOCKS, KINDS, Simulated, drawn_outcome
 
-from jaxbundle.block.findings import Kind, Subject
+from jaxbundle.block.findings import Finding, Kind, Subject
 from jaxbundle.block.residuals import observations_of, weighted_residuals
 from jaxbundle.block.unknowns import unknowns_of
-from jaxbundle.diagnosis.culprits import culprit_findings
+from jaxbundle.diagnosis.culprits import findings_of_suspects
 from jaxbundle.numerics.host import on_device
 from jaxbundle.solve.adjust import adjust
+from jaxbundle.solve.adjustment import Adjustment
 from jaxbundle.statistics import error_columns
 from jaxbundle.statistics.dense import dense_system
 from jaxbundle.statistics.error_columns import ErrorColumn, _weighted_columns, error_tests
@@ -33,6 +34,11 @@ def wrong(simulated: Simulated, kind: str, size: float, seed: int = 2):
     mistake = simulated.mistake(kind, rng)
     assert mistake is not None
     return simulated.adjusted(rng, mistake, size if mistake.fixed else size * mistake.detectable), mistake
+
+
+def found_by(adjustment: Adjustment) -> tuple[Finding, ...]:
+    """What is said of an adjustment."""
+    return findings_of_suspects(find_suspects(adjustment), float(adjustment.sigma0))
 
 
 def test_quantities_are_those_of_the_cofactors_of_the_residuals(simulated, monkeypatch):
@@ -130,13 +136,13 @@ def test_ray_of_a_point_on_two_images_is_one_of_two(simulated):
     named = {x._replace(component="") for subjects in (suspicion.subjects, *suspicion.alternatives) for x in subjects}
     assert names <= named
     assert np.isnan(suspicion.error).all() or suspicion.degrees == 1
-    finding = culprit_findings(adjustment)[0]
+    finding = found_by(adjustment)[0]
     assert finding.what.startswith("either the ray") and "cannot tell them apart" in finding.cure
 
 
 def test_shift_of_all_control_is_named_against_the_stations(simulated):
     adjustment, _ = wrong(simulated, "shifted_control", 5.0)
-    finding = culprit_findings(adjustment)[0]
+    finding = found_by(adjustment)[0]
     assert finding.kind is Kind.SYSTEMATIC
     assert {subject.table for subject in finding.subjects} >= {"control", "stations"}
     assert finding.unit == "m" and "common shift" in finding.what
@@ -152,7 +158,7 @@ def test_exchanged_pixels_are_told_as_such(simulated):
     suspicion = suspects(adjustment)[0]
     assert suspicion.cause is Cause.AXES
     assert suspicion.subjects[0].names == (s.image_names[s.ray_image[ray]], s.point_names[s.ray_point[ray]])
-    assert "are exchanged" in culprit_findings(adjustment)[0].what
+    assert "are exchanged" in found_by(adjustment)[0].what
 
 
 def test_two_mistakes_are_both_found(simulated):

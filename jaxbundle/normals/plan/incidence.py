@@ -30,18 +30,18 @@ def border_points(structure: Structure, groups: tuple[ObservationGroup, ...]) ->
     of points with long tracks multiply pairs of slots in one order only, which two slots of one image do not allow.
     """
     count = np.bincount(structure.ray_point, minlength=len(structure.point_names))
-    kept, long = count == 0, count > SLOTS
+    in_border, long = count == 0, count > SLOTS
     repeated = np.zeros(len(count), bool)
     repeated[structure.ray_point[structure.ray_repeat > 0]] = True
-    kept |= long & repeated
+    in_border |= long & repeated
     if 3 * long.sum() <= BORDER_SHARE * 6 * len(structure.image_names):
-        kept |= long
+        in_border |= long
     for group in groups:
         touches = group.structure.kind.touches
         for k, kind in enumerate(touches):
             if kind == "point" and len(touches) > 1:
-                kept[group.structure.indices[:, k]] = True
-    return kept
+                in_border[group.structure.indices[:, k]] = True
+    return in_border
 
 
 def own_cameras(structure: Structure) -> bool:
