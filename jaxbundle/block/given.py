@@ -2,6 +2,8 @@
 
 from pathlib import Path
 
+from jaxbundle.block.block import Block
+
 
 def require_a(kind: type, given: object, function: str) -> None:
     """Raises TypeError unless the first argument of a public function is of a kind: a Block, an Adjustment."""
@@ -20,3 +22,13 @@ def require_a(kind: type, given: object, function: str) -> None:
     article = "an" if kind.__name__[0] in "AEIO" else "a"
     what = "None" if given is None else f"{given!r}" if isinstance(given, str) else type(given).__name__
     raise TypeError(f"{function} takes {article} {kind.__name__}, not {what}: call jb.{function}({cure})")
+
+
+def require_photographs(block: Block, function: str) -> None:
+    """Raises ValueError unless the rays of a block are image points, for what other sensors have no equivalent of."""
+    model = block.structure.model
+    if not model.photographs:
+        raise ValueError(
+            f"{function} takes photographs only; the sensor {model.name!r} of this block gives {model.components}"
+            " residuals per point. jb.adjust, jb.reliability, jb.covariance_of and jb.error_ellipses take any sensor"
+        )

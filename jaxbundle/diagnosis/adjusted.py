@@ -45,6 +45,9 @@ def findings(adjustment: Adjustment, start: Block | None = None) -> tuple[Findin
     if adjustment.status is Status.CONVERGED:
         found += [*element_findings(adjustment), *flying_height_findings(adjustment), *boresight_findings(adjustment)]
         found += [*point_findings(adjustment), *controlled_findings(adjustment)]
+    if not adjustment.block.structure.model.photographs:
+        what = "gross errors were not searched for: the sensors of this block are not photographs"
+        found.append(Finding(Kind.INFORMATION, what, "compare the residuals with their standard deviations"))
     if adjustment.cofactors is None:
         found.append(Finding(Kind.NO_PRECISION, "no standard deviations were computed"))
     return in_order(_explained(found))

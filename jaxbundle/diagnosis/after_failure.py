@@ -45,7 +45,8 @@ def causes(start: Block, adjustment: Adjustment) -> tuple[Finding, ...]:
     `start`: the block as it was given to the adjustment. Nothing is tried where the adjustment ended well.
     """
     ended_well = adjustment.status is Status.CONVERGED and float(adjustment.sigma0) <= ABSURD
-    if ended_well or not start.concrete or adjustment.status is Status.INTERRUPTED:
+    looked_at = start.concrete and start.structure.model.photographs
+    if ended_well or not looked_at or adjustment.status is Status.INTERRUPTED:
         return ()
     with np.errstate(all="ignore"):
         found = (*_extreme_sigmas(start), *_wrong_control(start, adjustment))

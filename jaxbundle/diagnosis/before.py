@@ -27,7 +27,7 @@ def prepared(block: Block) -> tuple[Block, tuple[Finding, ...]]:
 
     Approximate values are replaced only where the numbers they are judged by are plausible themselves.
     """
-    if not block.concrete or not len(block.structure.ray_image):
+    if not block.concrete or not len(block.structure.ray_image) or not block.structure.model.photographs:
         return block, ()
     with np.errstate(all="ignore"):
         findings = [*format_findings(block), *interior_findings(block), *two_roles(block), *repeated_rows(block)]

@@ -14,7 +14,7 @@ import polars as pl
 
 from jaxbundle.block.block import Block
 from jaxbundle.block.findings import Finding
-from jaxbundle.block.given import require_a
+from jaxbundle.block.given import require_a, require_photographs
 from jaxbundle.io.tables import Columns, write_table
 from jaxbundle.report.data import dict_of, json_text
 from jaxbundle.report.figures import figures_of
@@ -38,9 +38,10 @@ def write_report(adjustment: Adjustment, folder: str | Path, found: tuple[Findin
     `found`: the findings, as `findings` gives them; they are looked for if None is given.
 
     Raises: FileExistsError where the folder holds files of these names that no adjustment wrote; another OSError where
-    it cannot be written.
+    it cannot be written; ValueError for sensors that are not photographs.
     """
     require_a(Adjustment, adjustment, "write_report")
+    require_photographs(adjustment.block, "write_report")
     robust = adjustment.reweighting is not None
     target, names = Path(folder), result_files(adjustment.block, robust)
     require_place(target, adjustment.block, robust)

@@ -15,7 +15,7 @@ import numpy as np
 from jaxtyping import Array, Bool, Float, Int
 
 from jaxbundle.block.block import Block, Structure
-from jaxbundle.block.given import require_a
+from jaxbundle.block.given import require_a, require_photographs
 from jaxbundle.block.residuals import Observations, observations_of, ray_residuals
 from jaxbundle.block.unknowns import Unknowns
 from jaxbundle.camera.collinearity import central_projection, photo_vector
@@ -212,6 +212,7 @@ def measured_directions(
 def parallax_rule(block: Block, delta: float) -> ParallaxRule:
     """The rule for all pairs of successive images of each point."""
     require_a(Block, block, "parallax_rule")
+    require_photographs(block, "parallax_rule")
     return ParallaxRule(delta)
 
 

@@ -118,7 +118,10 @@ def block_system(block: Block) -> DenseSystem:
     exterior[structure.exterior_free.T] = inverse[: structure.exterior_free.sum()]
     exterior[3:] = np.einsum("abi,bif->aif", np.asarray(turned), exterior[3:])
     inverse[: structure.exterior_free.sum()] = exterior[structure.exterior_free.T]
-    everything = np.ones((len(structure.ray_image), 2), bool), *(g.structure.observed for g in block.groups)
+    everything = (
+        np.ones((len(structure.ray_image), structure.model.components), bool),
+        *(g.structure.observed for g in block.groups),
+    )
     return DenseSystem(structure, everything, orthogonal, inverse)
 
 

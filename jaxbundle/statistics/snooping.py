@@ -11,7 +11,7 @@ import numpy as np
 
 from jaxbundle.block.block import Block
 from jaxbundle.block.changes import without_component, without_ray
-from jaxbundle.block.given import require_a
+from jaxbundle.block.given import require_a, require_photographs
 from jaxbundle.solve.adjust import adjust
 from jaxbundle.solve.adjustment import Adjustment
 from jaxbundle.statistics.error_columns import FIXED
@@ -59,9 +59,10 @@ def snoop(adjustment: Adjustment, level: float = LEVEL, most: int = 50) -> Snoop
     `level`: of all tests together; `most`: removals at most. A robust adjustment, whose residuals its own weights have
     made small, is returned as it is.
 
-    Raises: ValueError where the adjustment has no redundancy numbers.
+    Raises: ValueError where the adjustment has no redundancy numbers, and for sensors that are not photographs.
     """
     require_a(Adjustment, adjustment, "snoop")
+    require_photographs(adjustment.block, "snoop")
     redundancy_numbers(adjustment)
     removed: list[Removed] = []
     while len(removed) < most:

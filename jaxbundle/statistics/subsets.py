@@ -47,7 +47,7 @@ class Subset:
 
 def all_observations(block: Block, name: str = "all observations") -> Subset:
     """Everything observed."""
-    rays = np.ones((len(block.structure.ray_image), 2), bool)
+    rays = np.ones((len(block.structure.ray_image), block.structure.model.components), bool)
     return Subset(name, (rays, *(group.structure.observed for group in block.groups)))
 
 
@@ -178,11 +178,11 @@ def _is_coordinates(group: ObservationGroup) -> bool:
 
 def _rays(block: Block, name: str, mask: Bool[np.ndarray, " ray"]) -> Subset:
     none = (np.zeros_like(group.structure.observed) for group in block.groups)
-    return Subset(name, (np.repeat(mask[:, None], 2, 1), *none))
+    return Subset(name, (np.repeat(mask[:, None], block.structure.model.components, 1), *none))
 
 
 def _members(block: Block, name: str, chosen: Callable[[ObservationGroup], Mask]) -> Subset:
-    rays = np.zeros((len(block.structure.ray_image), 2), bool)
+    rays = np.zeros((len(block.structure.ray_image), block.structure.model.components), bool)
     return Subset(name, (rays, *map(chosen, block.groups)))
 
 

@@ -75,6 +75,7 @@ def testable(adjustment: Adjustment) -> bool:
     """Whether the residuals of an adjustment can be tested."""
     return (
         adjustment.redundancy_numbers is not None
+        and adjustment.block.structure.model.photographs
         and adjustment.status is Status.CONVERGED
         and not adjustment.undetermined
         and adjustment.reweighting is None
@@ -86,7 +87,8 @@ def testable(adjustment: Adjustment) -> bool:
 def suspects(adjustment: Adjustment, level: float = LEVEL) -> tuple[Suspicion, ...]:
     """The suspect observations, the gravest first. `level`: of all tests together.
 
-    None where nothing can be tested: without redundancy numbers, not converged, with robust weights.
+    None where nothing can be tested: without redundancy numbers, not converged, with robust weights, or where the
+    sensors are not photographs.
     """
     return find_suspects(adjustment, level).suspicions
 

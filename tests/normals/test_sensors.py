@@ -80,3 +80,26 @@ def test_photographs_and_models_in_one_block():
     mixed = dataclasses.replace(mixed, structure=dataclasses.replace(block.structure, cameras=cameras))
     (problem,) = jb.validate(mixed)
     assert problem.what == "cameras c0 and c7 measure different numbers of coordinates of a ray"
+
+
+def test_statistics_take_any_sensor(result):
+    block, point = result.block, int(np.flatnonzero(result.block.structure.point_free.all(1))[0])
+    found = jb.covariance_of(result, lambda b: b.object_points[point])
+    np.testing.assert_allclose(found.standard_deviations, result.standard_deviations.object_points[point], rtol=1e-7)
+    ratio = jb.reliability(result).w[0]
+    assert ratio.shape == result.residuals[0].shape == (len(block.structure.ray_image), 3)
+    assert jb.plausibility(block) == () and jb.prepared(block)[0] is block
+    components = jb.variance_components(block, max_rounds=1)
+    assert components.names[0] == "rays of control points"
+
+
+def test_what_looks_at_image_points_says_so(result, tmp_path):
+    told = [f.words for f in jb.findings(result, result.block) if "not photographs" in f.words]
+    assert len(told) == 1 and not (tmp_path / "report").exists()
+    for refused in (
+        lambda: jb.snoop(result),
+        lambda: jb.write_report(result, tmp_path / "report"),
+        lambda: jb.parallax_rule(result.block, 1e-6),
+    ):
+        with pytest.raises(ValueError, match="takes photographs only; the sensor 'model' .* 3 residuals per point"):
+            refused()
