@@ -9,6 +9,7 @@ from jaxtyping import Bool, Float, Int
 from jaxbundle.block.block import Block
 from jaxbundle.block.findings import Subject
 from jaxbundle.block.observations import ObservationGroup
+from jaxbundle.numerics.host import on_device
 from jaxbundle.statistics.error_columns import FIXED, ErrorColumn
 from jaxbundle.statistics.hypotheses import (
     ANGLE_TABLES,
@@ -32,17 +33,28 @@ NEAR_POINTS = 1000  # of all differences of control points that are tested for e
 SCALED = ("distances", "horizontal_distances", "scale_bars")  # a wrong unit or scale makes all of them wrong alike
 
 
-def possible_errors(block: Block, w: Sequence[np.ndarray]) -> Hypotheses:
-    """Hypotheses about the observations of a block; `w`: tables of its standardised residuals, by which the most
-    suspect are chosen where there are many."""
-    return _Collection(block, [np.abs(np.nan_to_num(table, nan=0.0)) for table in w]).everything()
+def possible_errors(block: Block, w: Sequence[np.ndarray], computed: Sequence[np.ndarray]) -> Hypotheses:
+    """Hypotheses about the observations of a block.
+
+    `w`: tables of its standardised residuals, by which the most suspect are chosen where there are many; `computed`:
+    values of the groups of observations that follow from the adjusted unknowns (`computed_values`).
+    """
+    return _Collection(block, [np.abs(np.nan_to_num(table, nan=0.0)) for table in w], computed).everything()
+
+
+def computed_values(block: Block, residuals: Sequence[np.ndarray]) -> list[np.ndarray]:
+    """Computed = observed + residual, for each group of observations, from the tables of weighted residuals."""
+    return [
+        np.asarray(group.values) + np.asarray(group.unweighted(on_device(v)))
+        for group, v in zip(block.groups, residuals[1:], strict=True)
+    ]
 
 
 class _Collection:
     """Columns and hypotheses as they are found."""
 
-    def __init__(self, block: Block, w: list[np.ndarray]):
-        self.block, self.w, self.s = block, w, block.structure
+    def __init__(self, block: Block, w: list[np.ndarray], computed: Sequence[np.ndarray]):
+        self.block, self.w, self.computed, self.s = block, w, computed, block.structure
         self.columns: list[ErrorColumn] = []
         self.combinations: list[tuple[Int[np.ndarray, " entry"], Float[np.ndarray, " entry"]]] = []
         self.found: list[Hypothesis] = []
@@ -231,7 +243,8 @@ class _Collection:
                         name = parameter.owner.name if parameter.owner else parameter.name
                         self._alike(Subject("bars", (name,)), Cause.SHIFT, k, of_bar, np.ones(len(of_bar)))
             else:
-                lengths = np.asarray(group.values)[:, 0]
+                # not the observed ones: a gross error of one of them is no scale of all
+                lengths = self.computed[k - 1][:, 0]
             self._alike(Subject(structure.kind.name), Cause.SCALE, k, rows, lengths)
 
     def _alike(self, subject: Subject, cause: Cause, table: int, rows: np.ndarray, values: np.ndarray) -> None:

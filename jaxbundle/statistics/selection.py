@@ -53,6 +53,7 @@ class Selection:
         self._least = np.array([CONTROLLED if h.cause is Cause.VALUE else CONTROLLED_AS_GROUP for h in hypotheses])
         self._scales = np.array([h.cause is Cause.IMAGE for h in hypotheses], bool)
         self._exact = np.array([h.exact for h in hypotheses], bool)
+        self._groups = [k for k, h in enumerate(hypotheses) if h.cause in (Cause.SHIFT, Cause.SCALE, Cause.IMAGE)]
         self._known: dict[frozenset[int], Tested] = {}
 
     def columns(self, accepted: Sequence[int]) -> Int[np.ndarray, " column"]:
@@ -165,9 +166,28 @@ class Selection:
                         return self._merged([*(a for a in accepted if a not in (one, other)), k])
         return accepted
 
+    def _as_group(self, accepted: list[int]) -> list[int]:
+        """Accepted rows as the group to which they belong and those that differ from its common error, if these are
+        fewer: what fewer errors explain as well is the more probable."""
+        covered = {
+            g: [k for k in accepted if k != g and self.hypotheses[k].members < self.hypotheses[g].members]
+            for g in self._groups
+        }
+        for g in sorted((g for g, rows in covered.items() if len(rows) >= 2), key=lambda g: (-len(covered[g]), g)):
+            instead = [*(k for k in accepted if k not in covered[g] and k != g), g]
+            for _ in covered[g][1:]:
+                log = self.tested(instead).log_probability
+                different = [k for k in covered[g] if k not in instead and log[k] <= self.log_level]
+                if not different:
+                    if self.probability_of(g, instead) <= self.log_level:
+                        return instead
+                    break
+                instead.append(min(different, key=lambda k: log[k]))
+        return accepted
+
     def _settled(self, accepted: list[int]) -> list[int]:
         """Each accepted one exchanged for what explains more given the others, or dropped, until nothing changes."""
-        accepted = self._merged(accepted)
+        accepted = self._as_group(self._merged(accepted))
         for _ in range(len(accepted) + 2):
             before = list(accepted)
             for k in before:

@@ -21,7 +21,7 @@ from jaxbundle.solve.adjustment import Adjustment, Status
 from jaxbundle.solve.attempt import attempt
 from jaxbundle.statistics.error_columns import FIXED, MOST_DENSE, ErrorColumn, ErrorTests, error_tests
 from jaxbundle.statistics.hypotheses import Cause, Hypotheses, Hypothesis
-from jaxbundle.statistics.possible_errors import possible_errors
+from jaxbundle.statistics.possible_errors import computed_values, possible_errors
 from jaxbundle.statistics.reliability import POWER, critical_w, level_of_one, redundancy_numbers
 from jaxbundle.statistics.robust_start import robust_point, with_unknowns_of
 from jaxbundle.statistics.selection import CONTROLLED, Selection
@@ -158,7 +158,7 @@ class _State:
     ) -> "_State":
         """Nothing is taken out; the unknowns are those of `block`."""
         w = tuple(np.abs(v) / root for v, root in zip(residuals, roots, strict=True))
-        hypotheses = possible_errors(given, w)
+        hypotheses = possible_errors(given, w, computed_values(block, residuals))
         tests = error_tests(block, residuals, hypotheses.elementary).combined(hypotheses.combinations)
         selection = Selection(tests, hypotheses.every, _log_level(level, hypotheses))
         return cls(given, block, w, roots, level, hypotheses, selection, selection.select(MOST), {})
@@ -174,7 +174,7 @@ class _State:
         tables, removed = _tables(adjustment), self.sizes
         pairs = zip(self.w, tables, self.roots, strict=True)
         w = tuple(np.maximum(before, np.abs(v) / root) for before, v, root in pairs)
-        hypotheses = possible_errors(self.given, w)
+        hypotheses = possible_errors(self.given, w, computed_values(adjustment.block, tables))
         known = {h.key: k for k, h in enumerate(hypotheses.every)}
         start = [known[key] for key in removed if key in known]
         tests = error_tests(adjustment.block, tables, hypotheses.elementary).combined(hypotheses.combinations)

@@ -23,7 +23,7 @@ from jaxbundle.solve.adjust import adjust
 from jaxbundle.solve.adjustment import Adjustment, Status
 from jaxbundle.solve.verdict import BEYOND_USE
 from jaxbundle.statistics.error_columns import FIXED, ErrorColumn, error_tests
-from jaxbundle.statistics.possible_errors import possible_errors
+from jaxbundle.statistics.possible_errors import computed_values, possible_errors
 from jaxbundle.statistics.reliability import POWER, level_of_one, non_centrality, reliability
 from jaxbundle.statistics.suspects import find_suspects, with_errors_removed
 
@@ -136,7 +136,8 @@ class Simulated:
         self.name, self.truth = name, BLOCKS[name]()
         self.start = adjust(drawn(self.truth, np.random.default_rng(0)))
         w = [np.asarray(v) for v in reliability(self.start).w]
-        tests = possible_errors(self.start.block, w).tests
+        residuals = [np.asarray(v) for v in self.start.weighted_residuals]
+        tests = possible_errors(self.start.block, w, computed_values(self.start.block, residuals)).tests
         self.root = non_centrality(level_of_one(0.05, tests), POWER)
 
     def adjusted(self, rng: np.random.Generator, mistake: Mistake | None, size: float) -> Adjustment:

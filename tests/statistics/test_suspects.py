@@ -16,7 +16,7 @@ from jaxbundle.statistics import error_columns
 from jaxbundle.statistics.dense import dense_system
 from jaxbundle.statistics.error_columns import ErrorColumn, _weighted_columns, error_tests
 from jaxbundle.statistics.hypotheses import Cause
-from jaxbundle.statistics.possible_errors import possible_errors
+from jaxbundle.statistics.possible_errors import computed_values, possible_errors
 from jaxbundle.statistics.reliability import redundancy_numbers, reliability
 from jaxbundle.statistics.selection import log_probability
 from jaxbundle.statistics.suspects import find_suspects, suspects, with_errors_removed
@@ -45,8 +45,8 @@ def test_quantities_are_those_of_the_cofactors_of_the_residuals(simulated, monke
     """M = C^T Q_vv C, whole or by the elimination of the points; its diagonal tells r and w."""
     adjustment = simulated.start
     tables = reliability(adjustment)
-    hypotheses = possible_errors(adjustment.block, tables.w)
     residuals = [np.asarray(v) for v in adjustment.weighted_residuals]
+    hypotheses = possible_errors(adjustment.block, tables.w, computed_values(adjustment.block, residuals))
     tests = error_tests(adjustment.block, residuals, hypotheses.elementary)
     monkeypatch.setattr(error_columns, "MOST_DENSE", 0)
     eliminated = error_tests(adjustment.block, residuals, hypotheses.elementary)
@@ -104,6 +104,31 @@ def test_culprit_is_first(simulated, kind):
         result = drawn_outcome(simulated, kind, multiple, rng)
         assert result is not None and result[1]
         assert result[0].first and not result[0].wrongly
+
+
+def test_scale_of_all_distances_is_that_of_the_adjusted_ones():
+    """Of the observed ones it would not be: one that is wrong by a metre makes a shape of its own."""
+    block = BLOCKS["close_range"]()
+    w = [np.zeros((len(block.structure.ray_image), 2)), np.ones((4, 1))]
+    lengths = np.array([[1.0], [2.0], [3.0], [4.0]])
+    hypotheses = possible_errors(block, w, [lengths])
+    (scale,) = (h for h in hypotheses.every if h.cause is Cause.SCALE)
+    parts = hypotheses.combinations[:, scale.columns[0]].nonzero()[0]
+    np.testing.assert_array_equal(hypotheses.elementary[parts[0]].values, lengths[:, 0])
+
+
+@pytest.mark.thorough
+@pytest.mark.parametrize(
+    ("name", "kind", "cause"),
+    [("close_range", "scale_bar", Cause.VALUE), ("self_calibrating", "shifted_control", Cause.SHIFT)],
+)
+def test_a_very_large_error_is_told_as_what_it_is(name, kind, cause):
+    """One scale bar that is wrong by a metre is no wrong scale of all; control shifted by 500 m is one shift."""
+    adjustment, mistake = wrong(Simulated(name), kind, 1000.0)
+    suspicion = suspects(adjustment)[0]
+    named = {(s.table, s.names) for subjects in (suspicion.subjects, *suspicion.alternatives) for s in subjects}
+    assert suspicion.cause is cause
+    assert {(s.table, s.names) for s in mistake.subjects} <= named
 
 
 def test_size_and_its_standard_deviation(simulated):
