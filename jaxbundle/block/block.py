@@ -15,6 +15,7 @@ import equinox as eqx
 import numpy as np
 from jaxtyping import Array, Bool, Float, Int
 
+from jaxbundle.block.facade import Facade
 from jaxbundle.block.findings import Finding
 from jaxbundle.block.observations import ObservationGroup
 from jaxbundle.block.wording import counted
@@ -201,7 +202,7 @@ class CheckPoints(eqx.Module):
     sigmas: Float[Array, "check 3"]
 
 
-class Block(eqx.Module):
+class Block(Facade):
     """A block: structure (static) and values (leaves). `object_points` and orientations are approximate or adjusted."""
 
     structure: Structure = eqx.field(static=True)

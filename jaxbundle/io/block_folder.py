@@ -30,11 +30,12 @@ from jaxbundle.diagnosis.before import prepared
 from jaxbundle.geometry.rotation import ROTATION_SYSTEMS
 from jaxbundle.io.block_toml import FILE, BlockToml, read_block_toml
 from jaxbundle.io.fiducial_tables import with_inner_orientations
-from jaxbundle.io.folder_tables import FolderTables, RayRows, read_folder_tables
+from jaxbundle.io.folder_tables import FolderTables, RayRows, checked_tables, read_tables
 from jaxbundle.io.known_tables import KnownRows
 from jaxbundle.io.noted import Noted, listed
 from jaxbundle.io.observation_groups import found_in, interior_groups, interior_values
 from jaxbundle.io.settings import CameraSection, DatumSection, Settings
+from jaxbundle.io.tables import Table
 from jaxbundle.io.told import told_of
 from jaxbundle.io.unused import unused
 
@@ -50,7 +51,17 @@ def read_block_folder(path: str | Path, *, check_start: bool = True) -> Block:
     if not folder.is_dir():
         raise BlockError([Problem(f"{shown(str(folder))} is not a folder", f"give the path of a folder with {FILE}")])
     toml = read_block_toml(folder / FILE, noted)
-    tables = read_folder_tables(folder, toml, noted)
+    return block_of(toml, read_tables(folder, toml, noted), noted, folder, check_start=check_start)
+
+
+def block_of(
+    toml: BlockToml, read: dict[str, Table | None], noted: Noted, folder: Path | None, *, check_start: bool
+) -> Block:
+    """The block of settings and tables, as far as these could be read; `folder` is where they are from, if they are.
+
+    Raises: BlockError with all that is wrong.
+    """
+    tables = checked_tables(read, toml, noted)
     if tables is not None:
         tables = with_inner_orientations(tables, toml, noted)
     settings = toml.settings
@@ -69,7 +80,7 @@ def read_block_folder(path: str | Path, *, check_start: bool = True) -> Block:
     return block
 
 
-def _block(folder: Path, toml: BlockToml, settings: Settings, tables: FolderTables, noted: Noted) -> Block:
+def _block(folder: Path | None, toml: BlockToml, settings: Settings, tables: FolderTables, noted: Noted) -> Block:
     """The block; where something was found it lacks the rows that refer to nothing known."""
     images, rays, known = tables.images, tables.rays, tables.known
     used = {name: section for name, section in settings.cameras.items() if name in images.camera}
@@ -80,7 +91,7 @@ def _block(folder: Path, toml: BlockToml, settings: Settings, tables: FolderTabl
     points, point_free = _object_points(rays, known)
     check, check_points = _check_points(known.get("control"))
     structure = Structure(
-        name=settings.name or folder.resolve().name,
+        name=settings.name or (folder.resolve().name if folder else ""),
         cameras=tuple(_camera(name, section) for name, section in used.items()),
         image_names=images.names,
         point_names=rays.points,

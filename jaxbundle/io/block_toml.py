@@ -102,6 +102,11 @@ def read_block_toml(path: Path, noted: Noted) -> BlockToml:
     for where in _hidden(raw):
         what = f"{' '.join(map(shown, where))} has a character that is not visible"
         noted.add(path.name, _line(text, where), what, "take it out")
+    return validated(raw, text, noted, path)
+
+
+def validated(raw: dict[str, Any], text: str, noted: Noted, path: Path) -> BlockToml:
+    """Settings checked, all that is wrong in them noted; `text`: that of the file they were read from, if they were."""
     try:
         return BlockToml(Settings.model_validate(raw), raw, text)
     except ValidationError as error:

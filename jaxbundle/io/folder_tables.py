@@ -98,9 +98,13 @@ def _table(folder: Path, toml: BlockToml, kind: str, noted: Noted) -> Table | No
     return read_table(folder / file, TABLES[kind].in_system(toml.rotation_system), noted, toml.half_turn)
 
 
-def read_folder_tables(folder: Path, toml: BlockToml, noted: Noted) -> FolderTables | None:
-    """Every table that block.toml names; None where one cannot be read as a table."""
-    read = {kind: _table(folder, toml, kind, noted) for kind in TABLES if kind in toml.tables}
+def read_tables(folder: Path, toml: BlockToml, noted: Noted) -> dict[str, Table | None]:
+    """Every table that block.toml names, by its kind; None for one that cannot be read as a table."""
+    return {kind: _table(folder, toml, kind, noted) for kind in TABLES if kind in toml.tables}
+
+
+def checked_tables(read: dict[str, Table | None], toml: BlockToml, noted: Noted) -> FolderTables | None:
+    """The tables checked against each other; None where one could not be read."""
     tables = {kind: table for kind, table in read.items() if table is not None}
     images = _images(tables["images"], toml) if "images" in tables else None
     rays = _rays(tables["rays"], images, toml) if "rays" in tables else None

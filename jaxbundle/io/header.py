@@ -38,7 +38,7 @@ def read_header(file: str, text: str, schema: TableSchema, noted: Noted) -> Head
         noted.add(file, number, f"the fields are separated by {OTHERS[best]}", "separate them by commas")
         return None
     best = best if best in SEPARATORS else ","
-    problem = _problem(found[best], schema, line)
+    problem = problem_of_columns(found[best], schema, line)
     if problem:
         noted.add(file, number, *problem)
         return None
@@ -69,7 +69,7 @@ def _fields(line: str, separator: str) -> list[str]:
     return [field.strip() for field in fields]
 
 
-def _problem(columns: list[str], schema: TableSchema, line: str) -> tuple[str, str] | None:
+def problem_of_columns(columns: list[str], schema: TableSchema, line: str) -> tuple[str, str] | None:
     """What is wrong with the columns of a header, and the cure."""
     needed, known = schema.needed, schema.names
     if not line.strip():

@@ -1,5 +1,6 @@
 """What is wrong in a block folder, noted while reading goes on and told at once: one cause, one line."""
 
+import dataclasses
 from collections.abc import Iterable, Sequence
 from dataclasses import dataclass, field
 
@@ -32,7 +33,8 @@ class Noted:
 
     `touched` names the images and points in rows that are wrong: what follows from them alone is not told.
     `broken` are the fields of rows that could not be read: names that stand there are not said to be missing.
-    `lost_images`: rays name images that are not there, so those that are there may have too few.
+    `lost_images`: rays name images that are not there, so those that are there may have too few. `called`: what a
+    message calls a file instead, "" where the settings are not from a file.
     """
 
     files: list[str] = field(default_factory=list)
@@ -41,6 +43,7 @@ class Noted:
     touched: set[str] = field(default_factory=set)
     broken: set[str] = field(default_factory=set)
     lost_images: bool = False
+    called: dict[str, str] = field(default_factory=dict)
 
     def __bool__(self) -> bool:
         return bool(self.found)
@@ -71,8 +74,14 @@ class Noted:
         def place(placed: Placed) -> tuple[bool, int, int]:
             return not placed.cause, order.get(placed.file, len(order)), placed.line
 
-        found = sorted(self.found, key=place)
+        found = [self._called(placed) for placed in sorted(self.found, key=place)]
         return BlockError([placed.problem for placed in found], [str(placed) for placed in found])
+
+    def _called(self, placed: Placed) -> Placed:
+        if placed.file not in self.called:
+            return placed
+        file = self.called[placed.file]
+        return dataclasses.replace(placed, file=file, problem=dataclasses.replace(placed.problem, table=file))
 
 
 def lines_of(lines: Sequence[int]) -> str:

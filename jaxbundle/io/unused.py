@@ -28,9 +28,9 @@ NEAR = 0.05  # of the extent of the object points: control is that near to its a
 
 
 def unused(
-    folder: Path, toml: BlockToml, settings: Settings, tables: FolderTables, noted: Noted
+    folder: Path | None, toml: BlockToml, settings: Settings, tables: FolderTables, noted: Noted
 ) -> tuple[Finding, ...]:
-    """What takes no part, one finding for each cause."""
+    """What takes no part, one finding for each cause; `folder`: where the tables are from, if they are from files."""
     found: list[Finding] = []
     for kind in CARRYING:
         if kind in tables.known:
@@ -52,7 +52,8 @@ def unused(
         for name, origin in zip(groups.names, groups.origin.tolist(), strict=True)
         if origin
     ]
-    found += _files(folder, toml, settings, tables, noted)
+    if folder is not None:
+        found += _files(folder, toml, settings, tables, noted)
     return (*found, *noted.remarks, *(Finding(Kind.INFORMATION, time) for time in times))
 
 

@@ -1,16 +1,20 @@
 """The answer of an adjustment: adjusted block, residuals, sigma0, cofactors and what follows from them."""
 
+import dataclasses
 from typing import Any, NamedTuple
 
 import equinox as eqx
+import jax.numpy as jnp
 import numpy as np
 from jaxtyping import Array, Float, Int
 
 from jaxbundle.block.block import Block
 from jaxbundle.block.findings import Finding, Kind, Severity, of_kind
+from jaxbundle.block.named import CameraValues, ImageValues, Named, PointValues
 from jaxbundle.block.wording import counted
 from jaxbundle.normals.pcg import TOLERANCE
 from jaxbundle.numerics.host import array_module, is_concrete, on_device, on_host
+from jaxbundle.numerics.offered import offered
 from jaxbundle.solve.options import Options
 from jaxbundle.solve.status import Status
 from jaxbundle.solve.weight_functions import with_weights
@@ -200,6 +204,61 @@ class Adjustment(eqx.Module):
         )
         parts = exterior[:, :3], exterior[:, 3:], interior, points, parameters
         return StandardDeviations(*map(on_device, parts))
+
+    @property
+    def points(self) -> Named[PointValues]:
+        """The adjusted object points by name, with standard deviations and covariances where there are any."""
+        names, points = self.block.structure.point_names, self.block.object_points
+        if self.cofactors is None:
+            return self.block.points
+        deviations, q = self.standard_deviations.object_points, self.cofactors.object_points
+        variance = self.sigma0**2
+        return Named("point", names, lambda k: PointValues(names[k], points[k], deviations[k], variance * q[k]))
+
+    @property
+    def images(self) -> Named[ImageValues]:
+        """The adjusted orientations by name, with standard deviations and covariances where there are any."""
+        images = self.block.images
+        if self.cofactors is None:
+            return images
+        sd, q, variance = self.standard_deviations, self.cofactors.exterior, self.sigma0**2
+        names = self.block.structure.image_names
+
+        def image(k: int) -> ImageValues:
+            deviations = jnp.concatenate([sd.projection_centre[k], sd.angles[k]])
+            return dataclasses.replace(images[names[k]], standard_deviations=deviations, covariance=variance * q[k])
+
+        return Named("image", names, image)
+
+    @property
+    def cameras(self) -> Named[CameraValues]:
+        """The adjusted cameras by name, with standard deviations of their elements where there are any."""
+        return self.block.cameras_with(None if self.cofactors is None else self.standard_deviations.interior)
+
+    @property
+    def success(self) -> bool:
+        """Converged, and nothing found that forbids trust, as `scipy.optimize` calls it; raises as `status`."""
+        return self.trustworthy
+
+    @property
+    def message(self) -> str:
+        """What the result is worth, in a sentence."""
+        return self.verdict
+
+    def to_frames(self, *, units: bool = True) -> dict[str, Any]:
+        """The results as polars frames by the names of their tables: images, cameras, points, rays and the others.
+
+        Args:
+            units: Whether the names of columns have their units, such as "X [m]" and "sd X [m]"; else they are those of
+                the CSV tables, such as "X" and "sX".
+
+        Raises:
+            ValueError: for an adjustment that is traced, or whose sensors are not photographs.
+
+        Example:
+            result.to_frames()["points"]
+        """
+        return offered("frames_of")(self, units=units)
 
     @property
     def interior_correlations(self) -> Float[Array, "camera element element"]:
