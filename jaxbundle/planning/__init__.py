@@ -1,1 +1,16 @@
-"""Blocks that are not measured yet."""
+"""Accuracy before the flight: simulated flights, their predicted precision, and the design of their control.
+
+flight           what a flight is: camera, strips, terrain, tie points, control, navigation, errors
+lines, ground    where images are taken from; where points lie
+scene            a flight drawn: true orientations and points, who sees whom
+navigation       observed centres and attitudes with their systematic errors
+assembly, exact  the block of a scene; image coordinates without residuals
+simulate         a block with known truth
+predict          covariance of a block without noise and without a solve
+accuracy         measures of a prediction, and the check of a specification
+monte_carlo      many complete adjustments against the prediction
+design           derivatives of a measure by positions, sigmas, overlaps and height
+candidates       covariances of a block with the places where control may stand
+control_search   exchange of control points on the covariance; lower bound of all layouts
+sensitivity      derivatives of an adjusted coordinate by everything it was adjusted from
+"""
