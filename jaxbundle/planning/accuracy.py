@@ -39,7 +39,7 @@ class Check(NamedTuple):
 
 
 class Summary(NamedTuple):
-    """The predicted standard deviations of the judged points in a few numbers, object unit; `worst`: names of points."""
+    """The predicted standard deviations of the judged points, object unit; `worst`: names of points."""
 
     count: int
     rms: Float[np.ndarray, "3"]

@@ -1,7 +1,7 @@
 """Where k control points should stand: exchange on the covariance, and a lower bound of all layouts.
 
-    C'  = C - C_k (C_kk + S)^-1 C_k^T                      a layout k chosen: one update, no normal equations (A. S. M.)
-    f(z) = tr W (M_0 + sum z_i F_i)^-1 / sum W,  0 <= z <= 1, sum z = k          convex; its minimum is below all layouts
+    C'  = C - C_k (C_kk + S)^-1 C_k^T                      a layout k chosen: one update, no normal equations
+    f(z) = tr W (M_0 + sum z_i F_i)^-1 / sum W             convex in 0 <= z <= 1, sum z = k; its minimum is below all
     df/dz_i = - tr F_i (Q W Q)_ii                          F = S^-1: what control at a candidate would tell
     f(z) - g^T (z - d) <= f of every layout                d: 1 at the k most negative g, else 0 (Frank & Wolfe 1956)
 

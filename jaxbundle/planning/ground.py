@@ -25,17 +25,19 @@ class GroundPoints(NamedTuple):
 
 
 class Extent(NamedTuple):
-    """The rectangle of a layout in local coordinates."""
+    """What a layout fills, in local coordinates: a rectangle along the strips, or the polygon of an area."""
 
     low: Float[np.ndarray, "2"]
     high: Float[np.ndarray, "2"]
+    area: Float[np.ndarray, "corner 2"]
 
 
 def ground_points(plan: FlightPlan, frame: Frame, stations: Stations, rng: np.random.Generator) -> GroundPoints:
     """All points of a flight."""
     along = stations.xy[stations.crossing[stations.strip] == 0]
     reach = frame.strip_distance / 2 if plan.ties.layout == "schematic" else ROW_REACH * frame.footprint[1]
-    extent = Extent(along.min(0) - [0.0, reach], along.max(0) + [0.0, reach])
+    area = frame.to_local(np.asarray(plan.area, float).reshape(-1, 2))
+    extent = Extent(along.min(0) - [0.0, reach], along.max(0) + [0.0, reach], area)
     strips = int((stations.crossing == 0).sum())
     control, sigmas = _merged(plan, frame, [(_places(c, frame, extent, strips), c) for c in plan.control])
     ties = _tie_points(plan, frame, stations, rng)
@@ -53,9 +55,43 @@ def ground_points(plan: FlightPlan, frame: Frame, stations: Stations, rng: np.ra
 
 def _places(control: ControlSet, frame: Frame, extent: Extent, strips: int) -> Float[np.ndarray, "control 2"]:
     """The points of one layout, local."""
-    (x0, y0), (x1, y1) = extent
     if control.layout == "points":
         return frame.to_local(np.asarray(control.points, float).reshape(-1, 2))
+    if len(extent.area):
+        return _in_area(control, frame, extent, strips)
+    return _in_rectangle(control, frame, extent, strips)
+
+
+def _in_area(control: ControlSet, frame: Frame, extent: Extent, strips: int) -> Float[np.ndarray, "control 2"]:
+    """A layout in a polygon: its corners, its sides, or what lies inside of it of a layout of its rectangle."""
+    corners = extent.area
+    if control.layout == "corners":
+        return corners
+    if control.layout != "perimeter":
+        xy = _in_rectangle(control, frame, Extent(corners.min(0), corners.max(0), corners), strips)
+        return xy[inside(corners, xy)]
+    sides = np.roll(corners, -1, 0) - corners
+    lengths = np.linalg.norm(sides, axis=1)
+    step = lengths.sum() / control.count if control.count else control.every * frame.base
+    parts = np.maximum(1, np.round(lengths / step).astype(int))
+    return np.concatenate(
+        [a + side * np.arange(n)[:, None] / n for a, side, n in zip(corners, sides, parts, strict=True)]
+    )
+
+
+def inside(corners: Float[np.ndarray, "corner 2"], xy: Float[np.ndarray, "point 2"]) -> Bool[np.ndarray, " point"]:
+    """Whether points lie in a polygon: a line from each to the left crosses its sides an odd number of times."""
+    found = np.zeros(len(xy), bool)
+    for a, b in zip(corners, np.roll(corners, -1, 0), strict=True):
+        between = (a[1] > xy[:, 1]) != (b[1] > xy[:, 1])
+        rise = b[1] - a[1] if b[1] != a[1] else 1.0
+        found ^= between & (xy[:, 0] < a[0] + (xy[:, 1] - a[1]) / rise * (b[0] - a[0]))
+    return found
+
+
+def _in_rectangle(control: ControlSet, frame: Frame, extent: Extent, strips: int) -> Float[np.ndarray, "control 2"]:
+    """A layout in a rectangle along the strips."""
+    (x0, y0), (x1, y1), _ = extent
     columns = max(1, round((x1 - x0) / (control.every * frame.base))) + 1
     rows = max(1, round((y1 - y0) / (control.every * frame.base))) + 1
     if control.layout == "corners":

@@ -26,7 +26,7 @@ from jaxbundle.planning.flight import (
     plan_problems,
 )
 from jaxbundle.planning.navigation import NOTHING, consistent_groups, navigation_of
-from jaxbundle.planning.scene import near_pairs, scene_of, shown
+from jaxbundle.planning.scene import Scene, near_pairs, scene_of, shown
 
 __all__ = ["SimulatedFlight", "Simulation", "exact_coordinates", "simulate", "simulate_flight"]
 
@@ -122,9 +122,23 @@ def simulate_flight(plan: FlightPlan) -> SimulatedFlight:
     scene = scene_of(plan, rng)
     near = near_pairs(plan, scene)
     all_near = block_of(plan, scene, structure_of(plan, scene, near, NOTHING), np.zeros((len(near.image), 2)), NOTHING)
-    scene, seen, coordinates = shown(plan, scene, near, *exact_coordinates(all_near))
+    drawn, (scene, seen, coordinates) = scene, shown(plan, scene, near, *exact_coordinates(all_near))
+    _require_listed(plan, drawn, scene)
     navigation = navigation_of(plan, scene, rng)
     truth = block_of(plan, scene, structure_of(plan, scene, seen, navigation), coordinates, navigation)
     truth = eqx.tree_at(lambda b: b.groups, truth, consistent_groups(truth))
     block, gross = with_gross_errors(with_errors(truth, plan.noise, rng), plan, rng)
     return SimulatedFlight(with_approximations(block, plan, rng), truth, gross)
+
+
+def _require_listed(plan: FlightPlan, drawn: Scene, seen: Scene) -> None:
+    """Raises BlockError for control and check points of a list that no image shows."""
+    listed = [place for control in plan.control if control.layout == "points" for place in control.points]
+    listed += [] if isinstance(plan.check_points, int) else list(plan.check_points)
+    if plan.ties.layout == "schematic" or not listed:
+        return
+    lost = {(x, y) for x, y in drawn.points[:, :2].tolist()} - {(x, y) for x, y in seen.points[:, :2].tolist()}
+    near = [place for place in listed if any(math.dist(place, other) < 1e-6 * plan.height for other in lost)]
+    if near:
+        what = f"{len(near)} points of the lists of control and check points are on no image, such as {near[0]}"
+        raise BlockError([Problem(what, "correct their coordinates, or fly there", table="flight")])

@@ -12,7 +12,6 @@ from jaxbundle.planning.simulate import simulate_flight
 
 UNIT = schematic().sigma * schematic().scale_number
 BASE, DISTANCE = 0.4 * 230e-3 * 1500 / 0.153, 0.8 * 230e-3 * 1500 / 0.153
-HIDDEN = 1e-9  # sigma of errorless control in these units
 
 
 class Precision(NamedTuple):
@@ -84,8 +83,14 @@ def heights(every: float) -> ControlSet:
     return ControlSet("chains", "height", every=every)
 
 
+def heights_at(columns: tuple[int, ...], strips: int) -> ControlSet:
+    """Chains of heights at some stations, with a point in every side lap."""
+    rows = DISTANCE * (np.arange(strips + 1) - 0.5)
+    return ControlSet("points", "height", points=tuple((c * BASE, float(y)) for c in columns for y in rows))
+
+
 def gnss_plan(control: str, systematic: str) -> FlightPlan:
-    """One of the blocks of Ackermann 1992, table 1: 6 x 21 photographs, centres observed with sigma0 times the scale."""
+    """One of the blocks of Ackermann 1992, table 1: 6 x 21 photographs, centres observed with sigma0 times scale."""
     corners, ends = ControlSet("corners"), ControlSet("chains", "height", every=20)
     sets = {"c": (corners,), "a": (corners, ends)}
     if control == "b":
