@@ -51,7 +51,9 @@ def candidates_of(
     points: Int[np.ndarray, " candidate"],
     sigmas: tuple[float, float, float],
     kind: str = "full",
+    *,
     prior: float | None = None,
+    judged: Int[np.ndarray, " target"] | None = None,
 ) -> Candidates:
     """Covariances of a block with possible control.
 
@@ -61,6 +63,8 @@ def candidates_of(
         sigmas: standard deviations of X, Y, Z of new control, object unit; 0 for errorless.
         kind: "full", "plan" or "height".
         prior: standard deviation of the weak control, object unit; unless given, 100 times that of a ray on the ground.
+
+        judged: the points whose precision counts; all whose coordinates are unknown unless given.
 
     Raises: ValueError for an unknown kind, points that are not there, or more candidates than memory.
     """
@@ -81,7 +85,7 @@ def candidates_of(
     noise = np.where(new > 0, 1 / (1 / np.where(new > 0, new, 1.0) ** 2 - 1 / weak**2), 0.0)
     found = _columns(with_exact_observations(prediction.block), points, columns)
     variances = np.diagonal(np.asarray(prediction.cofactors.object_points), axis1=1, axis2=2)
-    judged = np.flatnonzero(block.structure.point_free.all(1))
+    judged = np.flatnonzero(block.structure.point_free.all(1)) if judged is None else judged
     own = found[points][:, columns]
     return Candidates(np.asarray(points), judged, variances[judged], found[judged], own, noise)
 
