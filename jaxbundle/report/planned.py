@@ -63,30 +63,29 @@ def write_plan(
 def plan_lines(prediction: Prediction, plan: FlightPlan, specification: Specification | None) -> list[str]:
     """The report as text."""
     block, s = prediction.block, prediction.block.structure
-    numbers = summary_of(prediction, in_area(block, plan))
-    lines = [
-        f"Predicted accuracy of {s.name}",
-        "",
-        *_verdict(prediction, plan, specification),
-        "",
-        *_flight(block, plan),
-    ]
-    lines += [
-        "",
-        f"Standard deviations of {counted(numbers.count, 'point')} {'of the area ' if plan.area else ''}that are not control, {s.object_unit}",
-    ]
+    lines = [f"Predicted accuracy of {s.name}", "", *_verdict(prediction, plan, specification)]
+    lines += ["", *_flight(block, plan)]
+    if prediction.undetermined:
+        return [*lines, "", "  There are no standard deviations before this is cured."]
+    lines += ["", *_deviations(prediction, plan)]
+    lines += ["", "Reliability (level 0.1 %, power 80 %)", *_reliability(prediction)]
+    interior = _interior(prediction)
+    return [*lines, *(["", "Interior elements", *interior] if interior else [])]
+
+
+def _deviations(prediction: Prediction, plan: FlightPlan) -> list[str]:
+    numbers = summary_of(prediction, in_area(prediction.block, plan))
+    where = "of the area that are not control" if plan.area else "that are not control"
+    unit = plan.sigma * plan.scale_number
     rows = [("", "X", "Y", "Z")]
     rows += [
         (name, *(f"{x:.4g}" for x in values))
         for name, values in (("rms", numbers.rms), ("median", numbers.median), ("maximum", numbers.maximum))
     ]
     rows.append(("worst point", *numbers.worst))
-    unit = plan.sigma * plan.scale_number
     rows.append(("rms in sigma0 m", *(f"{x / unit:.2f}" for x in numbers.rms)))
-    lines += aligned(rows)
-    lines += ["", "Reliability (level 0.1 %, power 80 %)", *_reliability(prediction)]
-    interior = _interior(prediction)
-    return [*lines, *(["", "Interior elements", *interior] if interior else [])]
+    count = counted(numbers.count, "point")
+    return [f"Standard deviations of {count} {where}, {prediction.block.structure.object_unit}", *aligned(rows)]
 
 
 def _verdict(prediction: Prediction, plan: FlightPlan, specification: Specification | None) -> list[str]:
