@@ -15,7 +15,9 @@ import numpy as np
 from jaxtyping import Array, Float, Int
 
 from jaxbundle.block.block import Block
+from jaxbundle.block.datum import with_datum
 from jaxbundle.block.observations import CONTROL
+from jaxbundle.numerics.compilation import QUICKLY, RAYS_FOR_OPTIMISATION
 from jaxbundle.numerics.host import on_device
 from jaxbundle.planning.accuracy import Measure, control_of
 from jaxbundle.planning.flight import FlightPlan
@@ -69,7 +71,9 @@ def derivatives_of(block: Block, plan: FlightPlan, measure: Measure) -> Derivati
     def measured(block: Block, stretch: Stretch) -> Array:
         return measure(predict(stretched(block, plan, stretch)))
 
-    value, (by_block, by_stretch) = jax.value_and_grad(measured, argnums=(0, 1))(block, zero)
+    block = with_datum(block)  # chosen outside of jit
+    differentiated = jax.jit(jax.value_and_grad(measured, argnums=(0, 1)), compiler_options=_compilation(block))
+    value, (by_block, by_stretch) = differentiated(block, zero)
     control = np.flatnonzero(control_of(block))
     sigmas = np.zeros((len(block.structure.point_names), 3))
     for group, derivative in zip(block.groups, by_block.groups, strict=True):
@@ -89,6 +93,11 @@ def derivatives_of(block: Block, plan: FlightPlan, measure: Measure) -> Derivati
     )
 
 
+def _compilation(block: Block) -> dict[str, int | bool]:
+    """Options of the compiler: a small block wants its program quickly."""
+    return QUICKLY if len(block.structure.ray_image) < RAYS_FOR_OPTIMISATION else {}
+
+
 def stretched(block: Block, plan: FlightPlan, stretch: Stretch) -> Block:
     """The block of a flight with other overlaps or another height; goes through jit, grad and vmap.
 
@@ -98,7 +107,7 @@ def stretched(block: Block, plan: FlightPlan, stretch: Stretch) -> Block:
     angle = math.pi / 2 - plan.headings[0]
     axes = on_device(np.array([[math.cos(angle), math.sin(angle)], [-math.sin(angle), math.cos(angle)]]))
     centres, points = block.exterior.projection_centre, block.object_points
-    middle = jnp.asarray(np.asarray(jax.lax.stop_gradient(points[:, :2]).mean(0)))
+    middle = jax.lax.stop_gradient(points[:, :2]).mean(0)
     height = 1 + stretch.height
     factors = jnp.stack([(1 + stretch.along) * height, (1 + stretch.across) * height])
     matrix = axes.T @ (factors[:, None] * axes)
@@ -132,18 +141,21 @@ def steepest_positions(
 
     Returns: the block with its control moved, and the measure before and after every step.
     """
+    block = with_datum(block)  # chosen outside of jit
     start = np.asarray(block.object_points)[points, :2]
 
-    def measured(xy: Array) -> Array:
+    def of_positions(xy: Array) -> Array:
         return measure(predict(_with_positions(block, points, xy)))
 
+    measured = jax.jit(jax.value_and_grad(of_positions), compiler_options=_compilation(block))
+
     xy, values = start, []
-    value, gradient = (np.asarray(x) for x in jax.value_and_grad(measured)(jnp.asarray(xy)))
+    value, gradient = (np.asarray(x) for x in measured(jnp.asarray(xy)))
     values.append(float(value))
     step = reach / 4 / max(float(np.abs(gradient).max()), 1e-300)
     for _ in range(steps):
         trial = start + np.clip(xy - step * gradient - start, -reach, reach)
-        new, new_gradient = (np.asarray(x) for x in jax.value_and_grad(measured)(jnp.asarray(trial)))
+        new, new_gradient = (np.asarray(x) for x in measured(jnp.asarray(trial)))
         if new < value:
             xy, value, gradient, step = trial, new, new_gradient, 1.5 * step
             values.append(float(value))

@@ -6,6 +6,7 @@ Sigma is the predicted one. Single coordinates are tested at a level; the mean o
 correlated, has a scatter of its own that is estimated from the draws.
 """
 
+from functools import partial
 from typing import NamedTuple
 
 import equinox as eqx
@@ -19,6 +20,7 @@ from jaxbundle.block.block import Block
 from jaxbundle.block.datum import with_datum
 from jaxbundle.block.given import require_a
 from jaxbundle.block.observations import ObservationGroup
+from jaxbundle.numerics.compilation import QUICKLY, RAYS_FOR_OPTIMISATION
 from jaxbundle.planning.predict import Prediction, predict
 from jaxbundle.solve.adjust import adjust
 from jaxbundle.solve.status import Status
@@ -78,7 +80,9 @@ def monte_carlo(block: Block, draws: int = 500, seed: int = 0) -> MonteCarlo:
     truth = with_datum(prediction.block)
     sigmas = np.asarray(prediction.standard_deviations.object_points)
 
-    @jax.jit
+    options = QUICKLY if len(block.structure.ray_image) < RAYS_FOR_OPTIMISATION else {}
+
+    @partial(jax.jit, compiler_options=options)
     def all_draws(keys: Array) -> tuple[Array, Array, Array]:
         def one(key: Array) -> tuple[Array, Array, Array]:
             adjusted = adjust(drawn(truth, key), precision=False)

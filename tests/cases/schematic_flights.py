@@ -21,15 +21,15 @@ class Precision(NamedTuple):
     deviations: np.ndarray
 
     @property
-    def rms(self) -> tuple[float, float]:
-        """Of X and Y together, and of Z, of points with an unknown coordinate."""
-        xy, z = self._free(0), self._free(2)
-        return float(np.sqrt((self.deviations[xy, :2] ** 2).mean())), float(
-            np.sqrt((self.deviations[z, 2] ** 2).mean())
-        )
+    def rms_xy(self) -> float:
+        """Root mean square of X and Y of the points where these are unknown."""
+        return float(np.sqrt((self.deviations[self.block.structure.point_free[:, 0], :2] ** 2).mean()))
 
-    def _free(self, axis: int) -> np.ndarray:
-        return self.block.structure.point_free[:, axis]
+    @property
+    def rms(self) -> tuple[float, float]:
+        """Root mean square of X and Y, and of Z, of the points whose Z is unknown."""
+        free = self.deviations[self.block.structure.point_free[:, 2]]
+        return float(np.sqrt((free[:, :2] ** 2).mean())), float(np.sqrt((free[:, 2] ** 2).mean()))
 
     def at(self, x: float, y: float) -> np.ndarray:
         """Of the point nearest to a place."""
