@@ -1,8 +1,8 @@
 """Where should four control points stand? The derivative of the predicted accuracy tells, an exchange search checks.
 
-A block of two strips, seen by the covariance alone: nothing is measured and nothing is adjusted. The points start in the
-middle of the block; jax.grad of the mean predicted variance goes back through the normal equations to their positions,
-and they walk outwards as long as the variance falls. The best four of all tie point places, found by exchange on the
+A block of two strips, seen by the covariance alone: nothing is measured and nothing is adjusted. The points start in
+the middle of the block; jax.grad of the mean predicted variance goes back through the normal equations to their
+positions, and they walk as long as the variance falls. The best four of all tie point places, found by exchange on the
 covariance, are the reference, and a convex relaxation says how much better any layout could be.
 """
 

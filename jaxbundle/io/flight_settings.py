@@ -1,11 +1,13 @@
 """What flight.toml says: the camera, the flight, the ground, control, navigation, errors, and a specification."""
 
+from collections.abc import Sequence
+from difflib import get_close_matches
 from typing import Annotated, Any, Literal
 
 from pydantic import BeforeValidator, Field, field_validator, model_validator
 
+from jaxbundle.block.problems import shown
 from jaxbundle.camera.registry import CAMERA_MODELS
-from jaxbundle.io.near_names import nearest
 from jaxbundle.io.ranges import Coefficient, Length, PixelSize, PrincipalDistance, Sigma, Triple, problem
 from jaxbundle.io.settings import Section, coefficient_names
 from jaxbundle.planning.flight import CONTROL_KINDS, CONTROL_LAYOUTS, SYSTEMATIC_OF, TIE_LAYOUTS, AerialCamera
@@ -41,10 +43,14 @@ Degrees = Annotated[float, Field(ge=-360, le=360)]
 
 def _known(name: str, known: tuple[str, ...], what: str) -> str:
     if name not in known:
-        match = nearest([name], known)
-        meant = f"did you mean {match.pairs[name]}? " if match else ""
-        raise problem(f"{what} '{name}' is unknown", f"{meant}known: {', '.join(known)}")
+        raise problem(f"{what} '{shown(name)}' is unknown", f"{meant(name, known)}known: {', '.join(known)}")
     return name
+
+
+def meant(name: str, known: Sequence[str]) -> str:
+    """The question for the most similar known name; "" where there is none."""
+    match = get_close_matches(name, known, 1)
+    return f"did you mean {match[0]}? " if match else ""
 
 
 class CameraSection(Section):

@@ -17,8 +17,8 @@ from jaxbundle.io.flight_settings import (
     FlightSettings,
     NavigationSection,
     TerrainSection,
+    meant,
 )
-from jaxbundle.io.near_names import nearest
 from jaxbundle.io.noted import Noted
 from jaxbundle.io.text import read_text
 from jaxbundle.planning.accuracy import Specification
@@ -104,9 +104,7 @@ def _in_words(error: ErrorDetails) -> tuple[str, str]:
         return f"{where} is missing", f"give it, such as {example}" if example else "give it"
     if error["type"] == "extra_forbidden":
         known = tuple((SECTIONS[loc[0]] if len(loc) > 1 else FlightSettings).model_fields)
-        match = nearest([key], known)
-        meant = f"did you mean {match.pairs[key]}? " if match else ""
-        return f"{where} is unknown", f"{meant}known here: {', '.join(known)}"
+        return f"{where} is unknown", f"{meant(key, known)}known here: {', '.join(known)}"
     if error["type"] in ("too_short", "too_long"):
         length = error.get("ctx", {}).get("min_length", error.get("ctx", {}).get("max_length"))
         return f"{where} has {len(error['input'])} elements", f"give {length}, in brackets"
