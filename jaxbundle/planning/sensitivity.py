@@ -18,6 +18,7 @@ from jaxbundle.block.block import Block
 from jaxbundle.block.datum import with_datum
 from jaxbundle.block.findings import Subject
 from jaxbundle.block.given import require_a
+from jaxbundle.numerics.compilation import QUICKLY, RAYS_FOR_OPTIMISATION
 from jaxbundle.solve.adjust import adjust
 
 
@@ -75,7 +76,8 @@ def sensitivity(block: Block, function: Callable[[Block], Array]) -> Sensitivity
     def adjusted(block: Block) -> Array:
         return jnp.asarray(function(adjust(block, precision=False).block))
 
-    value, derivatives = jax.value_and_grad(adjusted)(block)
+    options = QUICKLY if len(block.structure.ray_image) < RAYS_FOR_OPTIMISATION else {}
+    value, derivatives = jax.jit(jax.value_and_grad(adjusted), compiler_options=options)(block)
     observed = [*_rays(block, derivatives), *_groups(block, derivatives)]
     observed.sort(key=lambda e: -abs(e.effect))
     held = [*_fixed_points(block, derivatives), *_interior(block, derivatives)]

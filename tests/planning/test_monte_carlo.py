@@ -24,15 +24,26 @@ def truth():
 def test_scatter_agrees_with_the_prediction(truth):
     found = monte_carlo(truth, draws=60, seed=1)
     assert found.passed and found.converged == 60
-    assert found.sigma0 == pytest.approx(1, abs=0.05)
+    assert found.sigma0 == pytest.approx(1, abs=0.08)  # the block has a redundancy of 14
     assert found.mean == pytest.approx(1, abs=4 * found.mean_sigma)
     with pytest.raises(ValueError, match="5 draws tell nothing; give 20 or more"):
         monte_carlo(truth, draws=5)
 
 
-def test_effects_add_up_to_the_variance(truth):
-    point = int(np.flatnonzero(truth.structure.point_free.all(1))[3])
-    found = sensitivity(truth, lambda b: b.object_points[point, 2])
+@pytest.fixture(scope="module")
+def point(truth):
+    """A tie point."""
+    return int(np.flatnonzero(truth.structure.point_free.all(1))[3])
+
+
+@pytest.fixture(scope="module")
+def effects(truth, point):
+    """What moves its height."""
+    return sensitivity(truth, lambda b: b.object_points[point, 2])
+
+
+def test_effects_add_up_to_the_variance(truth, point, effects):
+    found = effects
     sd = np.asarray(predict(truth).standard_deviations.object_points)[point, 2]
     assert found.standard_deviation == pytest.approx(sd, rel=1e-6)
     assert found.value == pytest.approx(float(truth.object_points[point, 2]), abs=1e-6)
@@ -46,10 +57,8 @@ def test_effects_add_up_to_the_variance(truth):
         sensitivity(truth, lambda b: b.object_points[point])
 
 
-def test_a_longer_principal_distance_does_what_its_derivative_says(truth):
-    point = int(np.flatnonzero(truth.structure.point_free.all(1))[3])
-    found = sensitivity(truth, lambda b: b.object_points[point, 2])
-    (distance,) = [e for e in found.held if e.subject.component == "principal_distance"]
+def test_a_longer_principal_distance_does_what_its_derivative_says(truth, point, effects):
+    (distance,) = [e for e in effects.held if e.subject.component == "principal_distance"]
     elements = truth.interior.elements
     changed = jb.adjust(
         jb.Block(
