@@ -6,6 +6,7 @@ import numpy as np
 import typer
 
 from jaxbundle.block.block import Block
+from jaxbundle.block.wording import counted
 from jaxbundle.cli.codes import BadInput, Code
 from jaxbundle.io import read, write_block_folder
 from jaxbundle.io.flight_toml import read_flight
@@ -123,7 +124,7 @@ def _layout_lines(block: Block, layout: Layout, kept: bool | None) -> list[str]:
     rows += [(s.point_names[k], *(f"{x:.2f}" for x in xyz[k])) for k in layout.points]
     rms = " ".join(f"{x:.4g}" for x in np.sqrt(layout.variances.mean(0)))
     largest = " ".join(f"{x:.4g}" for x in np.sqrt(layout.variances.max(0)))
-    lines = [f"{len(layout.points)} control points", *aligned(rows)]
+    lines = [counted(len(layout.points), "control point"), *aligned(rows)]
     lines.append(f"standard deviations of all points, X Y Z: rms {rms}, maximum {largest} {s.object_unit}")
     if np.isfinite(layout.bound):
         better = 1 - np.sqrt(layout.bound / layout.objective)

@@ -11,6 +11,8 @@ from jaxbundle.planning.predict import predict
 from jaxbundle.planning.sensitivity import sensitivity
 from jaxbundle.planning.simulate import simulate_flight
 
+pytestmark = pytest.mark.thorough
+
 STRIP = FlightPlan(
     1, 3, ties=Ties("grid", 12), headings=(1.2,), control=(ControlSet("corners", sigmas=(0.05, 0.05, 0.0)),), seed=3
 )
@@ -86,7 +88,6 @@ CASES = {
 }
 
 
-@pytest.mark.thorough
 @pytest.mark.parametrize("name", CASES)
 def test_scatter_of_five_hundred_adjustments(name):
     found = monte_carlo(simulate_flight(CASES[name]).truth, draws=500, seed=2)

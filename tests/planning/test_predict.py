@@ -67,7 +67,8 @@ def test_measures_and_specifications(blocks, prediction):
         check_specification(prediction, Specification(0.0, 1.0))
 
 
-def test_what_is_not_determined_is_told(blocks):
+@pytest.mark.thorough
+def test_what_is_not_determined_is_told():
     """A shift of each strip takes the scale of flat ground away from an unknown principal distance."""
     plan = FlightPlan(
         2,
@@ -82,6 +83,9 @@ def test_what_is_not_determined_is_told(blocks):
     )
     found = predict(simulate_flight(plan).truth)
     assert found.undetermined
+
+
+def test_what_is_no_block_is_refused():
     with pytest.raises(TypeError, match="predict takes a Block, not"):
         predict("folder")
 
