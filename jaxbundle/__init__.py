@@ -15,6 +15,7 @@ import importlib
 from typing import TYPE_CHECKING, Any
 
 if TYPE_CHECKING:
+    from jaxbundle import planning
     from jaxbundle.approximate.absolute_orientation import AbsoluteOrientation, absolute_orientation
     from jaxbundle.approximate.intersection import intersect
     from jaxbundle.approximate.relative_orientation import RelativeOrientation, relative_orientation
@@ -56,8 +57,9 @@ if TYPE_CHECKING:
     from jaxbundle.diagnosis.adjusted import findings
     from jaxbundle.diagnosis.before import plausibility, prepared
     from jaxbundle.geometry.similarity import Similarity
-    from jaxbundle.io import read, read_bal, read_block_folder, write_bal, write_block_folder
+    from jaxbundle.io import read, read_bal, read_block_folder, read_flight, write_bal, write_block_folder
     from jaxbundle.planning.flight import AerialCamera
+    from jaxbundle.planning.predict import Prediction, predict
     from jaxbundle.planning.simulate import Simulation, simulate
     from jaxbundle.report import report_dict, report_text, write_report
     from jaxbundle.solve.adjust import Progress, adjust
@@ -128,8 +130,9 @@ _MODULES = {
     "diagnosis.adjusted": ("findings",),
     "diagnosis.before": ("plausibility", "prepared"),
     "geometry.similarity": ("Similarity",),
-    "io": ("read", "read_bal", "read_block_folder", "write_bal", "write_block_folder"),
+    "io": ("read", "read_bal", "read_block_folder", "read_flight", "write_bal", "write_block_folder"),
     "planning.flight": ("AerialCamera",),
+    "planning.predict": ("Prediction", "predict"),
     "planning.simulate": ("Simulation", "simulate"),
     "report": ("report_dict", "report_text", "write_report"),
     "solve.adjust": ("Progress", "adjust"),
@@ -194,6 +197,7 @@ __all__ = [
     "Outcome",
     "Parameter",
     "PointRule",
+    "Prediction",
     "Problem",
     "Progress",
     "Rays",
@@ -235,11 +239,14 @@ __all__ = [
     "observation_group",
     "observations_of_kind",
     "parallax_rule",
+    "planning",
     "plausibility",
+    "predict",
     "prepared",
     "read",
     "read_bal",
     "read_block_folder",
+    "read_flight",
     "refraction_coefficient",
     "relative_orientation",
     "reliability",
@@ -268,6 +275,8 @@ def __dir__() -> list[str]:
 
 
 def __getattr__(name: str) -> Any:
+    if name == "planning":
+        return importlib.import_module("jaxbundle.planning")
     if name not in _HOME:
         raise AttributeError(f"module 'jaxbundle' has no attribute {name!r}")
     return getattr(importlib.import_module(f"jaxbundle.{_HOME[name]}"), name)

@@ -14,7 +14,7 @@ from typing import Annotated, Literal
 
 import typer
 
-from jaxbundle.cli import codes
+from jaxbundle.cli import codes, planning
 from jaxbundle.cli.cluster import Cluster, cluster_of
 from jaxbundle.cli.interruption import Interruption
 
@@ -27,6 +27,8 @@ app = typer.Typer(
     context_settings=_HELP,
     help="Photogrammetric bundle adjustment with derivatives through everything.",
 )
+
+app.add_typer(planning.app, name="plan")
 
 Block = Annotated[Path, typer.Argument(metavar="PATH", help="A block folder or a BAL file.", show_default=False)]
 Blocks = Annotated[list[Path], typer.Argument(metavar="PATH", help="Block folders or BAL files.", show_default=False)]

@@ -88,7 +88,7 @@ class BlockToml:
 
     def line(self, *path: str) -> int:
         """Line of a key or of the innermost section around it; 0 where there is none."""
-        return _line(self.text, path)
+        return line_of(self.text, path)
 
 
 def read_block_toml(path: Path, noted: Noted) -> BlockToml:
@@ -96,12 +96,12 @@ def read_block_toml(path: Path, noted: Noted) -> BlockToml:
     text = read_text(path, noted)
     if text is None:
         return BlockToml(None, {}, "")
-    raw = _parsed(path.name, text, noted)
+    raw = parsed_toml(path.name, text, noted)
     if raw is None:
         return BlockToml(None, {}, text)
-    for where in _hidden(raw):
+    for where in hidden_texts(raw):
         what = f"{' '.join(map(shown, where))} has a character that is not visible"
-        noted.add(path.name, _line(text, where), what, "take it out")
+        noted.add(path.name, line_of(text, where), what, "take it out")
     return validated(raw, text, noted, path)
 
 
@@ -121,24 +121,34 @@ def validated(raw: dict[str, Any], text: str, noted: Noted, path: Path) -> Block
             loc = tuple(str(part) for part in first["loc"])
             what, cure = _in_words(first, loc, path.parent)
             also = f"; likewise {listed([str(other['loc'][1]) for other in others])}" if others else ""
-            noted.add(path.name, _line(text, loc), what + also, cure)
+            noted.add(path.name, line_of(text, loc), what + also, cure)
         return BlockToml(None, raw, text)
 
 
 def _in_words(error: ErrorDetails, loc: tuple[str, ...], folder: Path) -> tuple[str, str]:
     """A finding of pydantic as problem and cure; `folder` is that of the block."""
-    given, key = _given(error["input"]), loc[-1]
+    if error["type"] == "missing":
+        return _missing(_place(loc)[1], loc, folder)
+    if error["type"] == "extra_forbidden":
+        known = (SECTIONS[loc[2] if len(loc) > 3 else loc[0]] if len(loc) > 1 else Settings).model_fields
+        return f"{_place(loc)[1]} is unknown", f"known here: {', '.join(known)}"
+    return value_in_words(error, loc)
+
+
+def _place(loc: tuple[str, ...]) -> tuple[str, str]:
+    """The section of a key, and the key with it."""
     section = f"[{'.'.join(map(shown, loc[: 2 if loc[0] in OF_NAMES else 1]))}]"
-    where = " ".join((section, shown(loc[-1])) if len(loc) > 1 else loc)
+    return section, " ".join((section, shown(loc[-1])) if len(loc) > 1 else loc)
+
+
+def value_in_words(error: ErrorDetails, loc: tuple[str, ...]) -> tuple[str, str]:
+    """A finding of pydantic about a value as problem and cure."""
+    given, key = _given(error["input"]), loc[-1]
+    section, where = _place(loc)
     match error["type"]:
         case "problem":
             context = error.get("ctx", {})
             return f"{section} {context['what']}", context["cure"]
-        case "missing":
-            return _missing(where, loc, folder)
-        case "extra_forbidden":
-            known = (SECTIONS[loc[2] if len(loc) > 3 else loc[0]] if len(loc) > 1 else Settings).model_fields
-            return f"{where} is unknown", f"known here: {', '.join(known)}"
         case "range":
             bounds = error.get("ctx", {})
             return (
@@ -176,8 +186,8 @@ def _missing(where: str, loc: tuple[str, ...], folder: Path) -> tuple[str, str]:
     return f"{said} is missing", f"give it, such as {example}" if example else "give it"
 
 
-def _parsed(file: str, text: str, noted: Noted) -> dict[str, Any] | None:
-    """The content of block.toml; None and a note where it is not TOML."""
+def parsed_toml(file: str, text: str, noted: Noted) -> dict[str, Any] | None:
+    """The content of a TOML file; None and a note where it is not TOML."""
     if len(text) > LONGEST:
         noted.add(file, 0, f"the file has {len(text)} characters", "give a block.toml; rows belong in tables")
         return None
@@ -196,7 +206,7 @@ def _parsed(file: str, text: str, noted: Noted) -> dict[str, Any] | None:
     return None
 
 
-def _hidden(raw: dict[str, Any]) -> list[tuple[str, ...]]:
+def hidden_texts(raw: dict[str, Any]) -> list[tuple[str, ...]]:
     """Paths of keys and texts with characters that are not visible; `source` may have lines."""
     found: list[tuple[str, ...]] = []
     left: list[tuple[tuple[str, ...], Any]] = [((), raw)]
@@ -241,7 +251,7 @@ def _path(line: str) -> tuple[bool, tuple[str, ...]]:
     return opens, tuple(names)
 
 
-def _line(text: str, path: tuple[str, ...]) -> int:
+def line_of(text: str, path: tuple[str, ...]) -> int:
     """Line of the longest part of a path that the text names; 0 where it names none."""
     best, found = 0, 0
     for number, here in _paths(text):

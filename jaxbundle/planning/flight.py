@@ -1,25 +1,25 @@
-"""An aerial flight: its camera, where images are taken from, and where the points lie they show.
+"""What a flight is: its camera, strips, terrain, tie points, control, navigation, and the errors of all of them.
 
-Strips are flown along X, every second one back. Tie points lie on a shaken grid, control points in rows across the
-strips: one row at either end, the others at equal distances between.
+Host data only: `simulate_flight` makes a block of a `FlightPlan`, `lines` and `ground` say where everything lies.
 """
 
 import math
-from collections.abc import Mapping
-from dataclasses import dataclass, field
-from typing import NamedTuple
+from collections.abc import Callable, Mapping
+from dataclasses import dataclass, field, replace
 
 import numpy as np
-from jaxtyping import Float, Int
+from jaxtyping import Float
 
 from jaxbundle.camera.additional_parameters import GRID_SHARE
 from jaxbundle.camera.brown import BROWN, DISTORTION_FREE
 from jaxbundle.camera.model import CameraModel
 from jaxbundle.camera.registry import CAMERA_MODELS
 
-SHAKE = 0.35  # of the grid's spacing, either way
-ROW_REACH = 0.35  # of an image's height: the rows of control end so far outside the axes of the outer strips
-SCATTER = 0.01  # of the flying height: stations off their places
+SCATTER = 0.01  # of the flying height: stations off their places, and approximate values off the truth
+TIE_LAYOUTS = ("shaken", "grid", "random", "schematic")
+CONTROL_LAYOUTS = ("rows", "corners", "perimeter", "grid", "chains", "points")
+CONTROL_KINDS = {"full": (True, True, True), "plan": (True, True, False), "height": (False, False, True)}
+SYSTEMATIC_OF = ("none", "block", "strip")
 
 
 @dataclass(frozen=True)
@@ -28,7 +28,8 @@ class AerialCamera:
 
     `offset`: principal point from the centre of the format, x right, y up. `distortion` names the camera model; unless
     given, it is "brown" with `coefficients`, else "none". Elements in `estimate` are unknown and start from the centre
-    of the format, from coefficients 0 and from a principal distance 0.2 % too long.
+    of the format, from coefficients 0 and from a principal distance 0.2 % too long. `errors`: true less given values
+    of elements that the block takes as known, as an old calibration.
     """
 
     principal_distance: float = 153.0
@@ -39,6 +40,7 @@ class AerialCamera:
     coefficients: Mapping[str, float] = field(default_factory=dict)
     estimate: tuple[str, ...] = ()
     distortion: str | None = None
+    errors: Mapping[str, float] = field(default_factory=dict)
 
     @property
     def model(self) -> CameraModel:
@@ -61,6 +63,10 @@ class AerialCamera:
 
     def interior(self) -> dict[str, float]:
         """True interior elements in the order of the model."""
+        return {element: value + self.errors.get(element, 0.0) for element, value in self.given().items()}
+
+    def given(self) -> dict[str, float]:
+        """Interior elements as the block knows them, in the order of the model."""
         s, y_axis = (self.pixel_size, -1.0) if self.pixel_size else (1.0, 1.0)
         (x, y), (dx, dy) = self.centre, self.offset
         given = {"x0": x + dx / s, "y0": y + y_axis * dy / s, "pixel_size": s, "y_axis": y_axis}
@@ -72,95 +78,193 @@ class AerialCamera:
 FRAME_CAMERA = AerialCamera()
 
 
-class Flight(NamedTuple):
-    """Nominal stations lie at (k base, strip distance times strip, height); footprint on the mean ground."""
+@dataclass(frozen=True)
+class Terrain:
+    """Heights of the ground. `relief`: range of random heights, each point with its own; `heights`: a function of X and
+    Y, arrays in object units, to which these are added."""
 
-    strips: int
-    images: int
-    base: float
-    strip_distance: float
-    footprint: tuple[float, float]
-    height: float
+    relief: float = 0.0
+    heights: Callable[[np.ndarray, np.ndarray], np.ndarray] | None = None
 
-
-class Incidence(NamedTuple):
-    """Which image sees which point."""
-
-    image: Int[np.ndarray, " ray"]
-    point: Int[np.ndarray, " ray"]
+    def at(self, x: Float[np.ndarray, " point"], y: Float[np.ndarray, " point"]) -> Float[np.ndarray, " point"]:
+        """Heights without the random part."""
+        return np.zeros(len(x)) if self.heights is None else np.broadcast_to(self.heights(x, y), x.shape).astype(float)
 
 
-def flight_of(strips: int, images: int, camera: AerialCamera, height: float, overlaps: tuple[float, float]) -> Flight:
-    """The flight with forward and side overlap, as shares of an image.
+@dataclass(frozen=True)
+class Ties:
+    """Tie points. `layout`: "shaken", a grid whose points are shifted at random, "grid", "random", or "schematic",
+    columns at the stations and `rows` rows per strip distance, among them the axes of the strips. Control and check
+    points of a schematic layout stand at the nearest tie points."""
 
-    Raises: ValueError for a flight whose images have no points in common, or an interior element nobody knows.
+    layout: str = "shaken"
+    points_per_image: int = 60
+    rows: int = 2
+
+
+@dataclass(frozen=True)
+class ControlSet:
+    """Control points of one layout.
+
+    "rows": `count` rows across the strips, strips + 1 points each; "corners"; "perimeter" and "grid": `count` points
+    along the strips and as many across, or one every `every` bases; "chains": rows across the strips every `every`
+    bases with a point in every side lap; "points": `points`, X and Y in object units.
+
+    `kind`: "full", "plan" or "height". `sigmas` of X, Y, Z; 0 fixes a coordinate.
     """
-    if strips < 1 or images < 2:
-        raise ValueError(f"{strips} strips of {images} images; a block needs 1 strip of 2 images at least")
+
+    layout: str = "rows"
+    kind: str = "full"
+    sigmas: tuple[float, float, float] = (0.0, 0.0, 0.0)
+    count: int | None = None
+    every: float = 2.0
+    points: tuple[tuple[float, float], ...] = ()
+
+    @property
+    def known(self) -> Float[np.ndarray, "3"]:
+        """Standard deviations of X, Y, Z, NaN for what is not observed."""
+        return np.where(CONTROL_KINDS[self.kind], self.sigmas, np.nan)
+
+
+@dataclass(frozen=True)
+class Navigation:
+    """Centres or attitudes observed in flight; lengths in object units, angles in radians.
+
+    `systematic`: whether unknown shifts and drifts belong to nothing, to the whole block or to each strip. Their true
+    values are drawn with the standard deviations `shift` and `drift` (per exposure). `offset`: lever arm from the
+    projection centre to the antenna in the image system, or boresight angles; `offset_unknown`: the block estimates it.
+    """
+
+    sigmas: tuple[float, float, float]
+    systematic: str = "none"
+    shift: float = 0.0
+    drift: float = 0.0
+    offset: tuple[float, float, float] = (0.0, 0.0, 0.0)
+    offset_unknown: bool = False
+
+    @property
+    def plain(self) -> bool:
+        """Whether there is nothing systematic."""
+        return self.systematic == "none" and not any(self.offset) and not self.offset_unknown
+
+
+@dataclass(frozen=True)
+class GrossErrors:
+    """A share of the rays has an error of `size` standard deviations more, in x or in y, of either sign."""
+
+    share: float = 0.0
+    size: float = 20.0
+
+
+@dataclass(frozen=True)
+class FlightPlan:
+    """A flight over mean ground 0, or over its terrain; lengths in metres, angles in radians.
+
+    Strips are flown along the local x axis, which points to `heading`, counted clockwise from the Y axis; the first
+    station of the first strip is `origin`. With an `area`, a polygon of X and Y, strips and images are as many as it
+    takes, for each of `headings`. `cross_strips` are flown across all strips at these shares of their length. `tilt`
+    and `scatter` (of the height) are standard deviations of angles and stations about their nominal values.
+    `check_points`: so many tie points, or X and Y of points. `noise` scales all random errors.
+    """
+
+    strips: int = 1
+    images: int = 8
+    camera: AerialCamera = FRAME_CAMERA
+    height: float = 1500.0
+    forward_overlap: float = 0.6
+    side_overlap: float = 0.3
+    headings: tuple[float, ...] = (math.pi / 2,)
+    origin: tuple[float, float] = (0.0, 0.0)
+    area: tuple[tuple[float, float], ...] = ()
+    cross_strips: tuple[float, ...] = ()
+    back_and_forth: bool = True
+    tilt: float = math.radians(2.0)
+    scatter: float = SCATTER
+    terrain: Terrain = Terrain(150.0)
+    ties: Ties = Ties()
+    image_sigma: float | None = None
+    control: tuple[ControlSet, ...] = ()
+    check_points: int | tuple[tuple[float, float], ...] = 0
+    gnss: Navigation | None = None
+    ins: Navigation | None = None
+    gross_errors: GrossErrors = GrossErrors()
+    noise: float = 1.0
+    seed: int = 0
+    name: str = ""
+
+    @property
+    def sigma(self) -> float:
+        """Standard deviation of an image coordinate, unit of the rays: 0.005 mm or 0.3 px unless given."""
+        return self.image_sigma if self.image_sigma is not None else 0.3 if self.camera.pixel_size else 0.005
+
+    @property
+    def scale_number(self) -> float:
+        """m, for lengths in the object per lengths in the image: units of the rays times m are object units."""
+        unit = self.camera.pixel_size or 1.0
+        return self.height / self.camera.principal_distance * unit
+
+
+def schematic(**changes: object) -> FlightPlan:
+    """An unshaken flight as the literature has them: vertical images at equal distances over flat ground.
+
+    153 mm, 230 x 230 mm, 60 % and 20 % overlap, no errors, tie points in columns at the stations and in rows at the
+    axes of the strips and half-way. The keywords are the fields of `FlightPlan`.
+
+    Example: `schematic(strips=5, images=11, control=(ControlSet("corners"),))`
+    """
+    nominal = FlightPlan(
+        side_overlap=0.2,
+        back_and_forth=False,
+        tilt=0.0,
+        scatter=0.0,
+        terrain=Terrain(),
+        ties=Ties("schematic"),
+        noise=0.0,
+    )
+    return replace(nominal, **changes)  # type: ignore[arg-type]
+
+
+def plan_problems(plan: FlightPlan) -> list[str]:
+    """All that keeps a flight from being flown, each with its cure."""
+    camera, found = plan.camera, []
+    if plan.strips < 1 or plan.images < 2:
+        found.append(f"{plan.strips} strips of {plan.images} images; a block needs 1 strip of 2 images at least")
+    overlaps = plan.forward_overlap, plan.side_overlap
     if not all(0 <= overlap < 1 for overlap in overlaps) or overlaps[0] < 0.5:
-        raise ValueError(f"overlaps {overlaps}; forward overlap is from 0.5 to below 1, side overlap from 0 to below 1")
-    model = camera.model
-    unknown = [name for name in camera.coefficients if name not in model.elements]
-    unknown += [name for name in camera.estimate if name not in model.estimable]
-    if unknown:
-        raise ValueError(f"no interior element {', '.join(unknown)}; there are {', '.join(model.estimable)}")
-    scale = height / camera.principal_distance
-    along, across = scale * camera.width, scale * camera.height
-    return Flight(strips, images, (1 - overlaps[0]) * along, (1 - overlaps[1]) * across, (along, across), height)
-
-
-def stations(
-    flight: Flight, tilt: float, rng: np.random.Generator
-) -> tuple[Float[np.ndarray, "image 3"], Float[np.ndarray, "image 3"]]:
-    """Projection centres and omega, phi, kappa in the order of flight; every second strip is flown back."""
-    strip, k = np.divmod(np.arange(flight.strips * flight.images), flight.images)
-    back = strip % 2 == 1
-    along = np.where(back, flight.images - 1 - k, k)
-    nominal = np.c_[along * flight.base, strip * flight.strip_distance, np.full(len(k), flight.height)]
-    centres = nominal + SCATTER * flight.height * rng.standard_normal(nominal.shape)
-    angles = tilt * rng.standard_normal(nominal.shape)
-    angles[back, 2] += math.pi
-    return centres, angles
-
-
-def control_points(flight: Flight, rows: int) -> Float[np.ndarray, "control 3"]:
-    """Rows across the strips, from the first to the last stations; one point a strip and one more in each."""
-    reach = ROW_REACH * flight.footprint[1]
-    x = np.linspace(0, (flight.images - 1) * flight.base, rows)
-    y = np.linspace(-reach, (flight.strips - 1) * flight.strip_distance + reach, flight.strips + 1)
-    x, y = (grid.ravel() for grid in np.meshgrid(x, y, indexing="ij"))
-    return np.c_[x, y, np.zeros(len(x))]
-
-
-def tie_points(flight: Flight, points_per_image: int, rng: np.random.Generator) -> Float[np.ndarray, "tie 3"]:
-    """A shaken grid over all that the images cover."""
-    along, across = flight.footprint
-    spacing = math.sqrt(along * across / points_per_image)
-    x = np.arange(-along / 2, (flight.images - 1) * flight.base + along / 2, spacing)
-    y = np.arange(-across / 2, (flight.strips - 1) * flight.strip_distance + across / 2, spacing)
-    x, y = (grid.ravel() for grid in np.meshgrid(x, y, indexing="ij"))
-    shake = SHAKE * spacing * rng.uniform(-1, 1, (2, len(x)))
-    return np.c_[x + shake[0], y + shake[1], np.zeros(len(x))]
-
-
-def near_pairs(flight: Flight, points: Float[np.ndarray, "point 3"], relief: float, tilt: float) -> Incidence:
-    """Every pair of image and point that may see each other: stations within an image's reach of the point."""
-    swing = 4 * (tilt + SCATTER)
-    share = 0.5 + relief / 2 / flight.height + swing
-    along, across = (share * extent + swing * flight.height for extent in flight.footprint)
-    k, s = _steps(along, flight.base), _steps(across, flight.strip_distance)
-    along = np.round(points[:, 0] / flight.base).astype(int)[:, None, None] + k[:, None]
-    strip = np.round(points[:, 1] / flight.strip_distance).astype(int)[:, None, None] + s
-    along, strip = np.broadcast_arrays(along, strip)
-    flown = (along >= 0) & (along < flight.images) & (strip >= 0) & (strip < flight.strips)
-    point = np.nonzero(flown)[0]
-    along, strip = along[flown], strip[flown]
-    image = strip * flight.images + np.where(strip % 2 == 1, flight.images - 1 - along, along)
-    order = np.lexsort((point, image))
-    return Incidence(image[order].astype(np.int32), point[order].astype(np.int32))
-
-
-def _steps(reach: float, spacing: float) -> Int[np.ndarray, " step"]:
-    """Numbers of stations, either way from the nearest one, that lie within reach."""
-    most = math.floor(reach / spacing + 0.5)
-    return np.arange(-most, most + 1)
+        found.append(f"overlaps {overlaps}; forward overlap is from 0.5 to below 1, side overlap from 0 to below 1")
+    if camera.distortion is None or camera.distortion in CAMERA_MODELS:
+        model = camera.model
+        unknown = [name for name in (*camera.coefficients, *camera.errors) if name not in model.elements]
+        unknown += [name for name in camera.estimate if name not in model.estimable]
+        if unknown:
+            found.append(f"no interior element {', '.join(unknown)}; there are {', '.join(model.estimable)}")
+    else:
+        found.append(f"no camera model '{camera.distortion}'; there are {', '.join(CAMERA_MODELS)}")
+    positive = {"height": plan.height, "image sigma": plan.sigma, "tie points per image": plan.ties.points_per_image}
+    found += [f"the {name} is {value}; give a positive one" for name, value in positive.items() if not value > 0]
+    found += [
+        f"a cross strip at {x} of the length; give shares from 0 to 1" for x in plan.cross_strips if not 0 <= x <= 1
+    ]
+    names = {"tie point layout": (plan.ties.layout, TIE_LAYOUTS)}
+    for number, control in enumerate(plan.control, 1):
+        names[f"layout of control {number}"] = control.layout, CONTROL_LAYOUTS
+        names[f"kind of control {number}"] = control.kind, tuple(CONTROL_KINDS)
+        if not control.every > 0 or (control.count is not None and control.count < 1):
+            found.append(
+                f"control {number} stands every {control.every} bases, {control.count} times; give positive ones"
+            )
+    for name, navigation in (("gnss", plan.gnss), ("ins", plan.ins)):
+        if navigation is not None:
+            names[f"systematic errors of {name}"] = navigation.systematic, SYSTEMATIC_OF
+            if not min(navigation.sigmas) > 0:
+                found.append(f"sigmas of {name} are {navigation.sigmas}; give positive ones")
+    found += [
+        f"the {name} {value!r} is unknown; there are {', '.join(known)}"
+        for name, (value, known) in names.items()
+        if value not in known
+    ]
+    if plan.area and len(plan.area) < 3:
+        found.append(f"the area has {len(plan.area)} corners; give 3 or more")
+    if not 0 <= plan.gross_errors.share < 0.5:
+        found.append(f"a share of {plan.gross_errors.share} gross errors; give one from 0 to below 0.5")
+    return found

@@ -133,7 +133,7 @@ def _least_squares(block: Block, options: Options, watch: _Watch, inspected: boo
     centred = values.moved(-origin)
     optimised = len(block.structure.ray_image) >= RAYS_FOR_OPTIMISATION
     centres = np.asarray(values.exterior.projection_centre) if values.concrete else None
-    devices, precision = _devices(values, options.devices), options.precision
+    devices, precision = devices_of(values, options.devices), options.precision
     plan = planned(block.structure, block.groups, centres, devices, options.reduced, direct=precision)
     rule = options.stop.of(centred)
     run = _Run(centred, plan, Arguments(problem(plan, centred), rule.arranged(plan.order)), optimised, options, watch)
@@ -170,7 +170,7 @@ def _solved(run: "_Run", rule: AbstractStoppingRule) -> tuple[OrderedUnknowns, I
     return _step_by_step(run, None if checkpoint is None else Keeper(checkpoint, fingerprint(block, options.method)))
 
 
-def _devices(block: Block, wanted: int | None) -> int:
+def devices_of(block: Block, wanted: int | None) -> int:
     """Devices to deal the tiles to. A small block loses more to their exchange than it gains: if not `wanted`, one.
 
     Raises: ValueError for a number that is not there, or that would leave a process without a part.

@@ -40,15 +40,6 @@ class Iterations(NamedTuple):
     step: Float[Array, ""]
 
 
-class BlockCofactors(NamedTuple):
-    """Blocks of the cofactor matrix; angles of the user's rotation system in radians; 0 for what is held."""
-
-    exterior: Float[Array, "image 6 6"]
-    interior: Float[Array, "camera element element"]
-    object_points: Float[Array, "point 3 3"]
-    parameters: Float[Array, "parameter parameter"]
-
-
 class StandardDeviations(NamedTuple):
     """A-posteriori standard deviations, angles in radians; 0 for what is held."""
 
@@ -57,6 +48,30 @@ class StandardDeviations(NamedTuple):
     interior: Float[Array, "camera element"]
     object_points: Float[Array, "point 3"]
     parameters: Float[Array, " parameter"]
+
+
+class BlockCofactors(NamedTuple):
+    """Blocks of the cofactor matrix; angles of the user's rotation system in radians; 0 for what is held."""
+
+    exterior: Float[Array, "image 6 6"]
+    interior: Float[Array, "camera element element"]
+    object_points: Float[Array, "point 3 3"]
+    parameters: Float[Array, "parameter parameter"]
+
+    def standard_deviations(self, sigma0: Any) -> StandardDeviations:
+        """Standard deviations of all unknowns for a standard deviation of unit weight."""
+        blocks = self.exterior, self.interior, self.object_points, self.parameters
+        exterior, interior, points, parameters = (on_host(sigma0) * _roots(c) for c in blocks)
+        parts = exterior[:, :3], exterior[:, 3:], interior, points, parameters
+        return StandardDeviations(*map(on_device, parts))
+
+    @property
+    def interior_correlations(self) -> Float[Array, "camera element element"]:
+        """Correlations of the interior elements of each camera; 0 for held elements."""
+        q, xp = on_host(self.interior), array_module(self.interior)
+        root = _roots(q)
+        product = root[:, :, None] * root[:, None, :]
+        return on_device(xp.where(product > 0, q / xp.where(product > 0, product, 1.0), 0.0))
 
 
 class Reweighting(eqx.Module):
@@ -198,12 +213,7 @@ class Adjustment(eqx.Module):
         """
         if self.cofactors is None:
             raise ValueError("this adjustment was made without standard deviations: call adjust(..., precision=True)")
-        q = self.cofactors
-        exterior, interior, points, parameters = (
-            on_host(self.sigma0) * _roots(c) for c in (q.exterior, q.interior, q.object_points, q.parameters)
-        )
-        parts = exterior[:, :3], exterior[:, 3:], interior, points, parameters
-        return StandardDeviations(*map(on_device, parts))
+        return self.cofactors.standard_deviations(self.sigma0)
 
     @property
     def points(self) -> Named[PointValues]:
@@ -268,10 +278,7 @@ class Adjustment(eqx.Module):
         """
         if self.cofactors is None:
             raise ValueError("this adjustment was made without standard deviations: call adjust(..., precision=True)")
-        q, xp = on_host(self.cofactors.interior), array_module(self.cofactors.interior)
-        root = _roots(q)
-        product = root[:, :, None] * root[:, None, :]
-        return on_device(xp.where(product > 0, q / xp.where(product > 0, product, 1.0), 0.0))
+        return self.cofactors.interior_correlations
 
     @property
     def check_differences(self) -> Float[Array, "check 3"]:

@@ -7,7 +7,6 @@ import equinox as eqx
 import jax
 import jax.numpy as jnp
 import numpy as np
-from jaxtyping import Array
 
 from jaxbundle.block.block import Block, Parameter
 from jaxbundle.block.datum import with_datum
@@ -17,7 +16,10 @@ from jaxbundle.block.observations import CONTROL, PARAMETERS, ObservationKind, i
 from jaxbundle.block.residuals import group_arrays, group_residuals
 from jaxbundle.block.unknowns import unknowns_of
 from jaxbundle.planning.flight import AerialCamera
+from jaxbundle.planning.monte_carlo import drawn
 from jaxbundle.planning.simulate import simulate
+
+__all__ = ["CASES", "PAIRS", "case", "drawn", "in_batches", "observed", "strip", "tie_points", "with_parameters"]
 
 
 def strip(control_sigma: float = 0.05) -> Block:
@@ -142,25 +144,6 @@ PAIRS = {
 def case(name: str) -> Block:
     """One of the blocks, its datum chosen."""
     return with_datum((CASES | PAIRS)[name](strip()))
-
-
-def drawn(block: Block, key: Array) -> Block:
-    """The block with new errors in everything observed."""
-    keys = jax.random.split(key, 1 + len(block.groups))
-    rays = block.rays.coordinates + block.rays.sigmas * jax.random.normal(keys[0], block.rays.sigmas.shape)
-
-    def errors(group, key):
-        normal = jax.random.normal(key, group.sigmas.shape)
-        if group.covariances is None:
-            return group.sigmas * normal
-        both = group.structure.observed[:, :, None] & group.structure.observed[:, None, :]
-        factor = jnp.linalg.cholesky(jnp.where(both, group.covariances, jnp.eye(3)))
-        return jnp.einsum("mij,mj->mi", factor, normal)
-
-    groups = tuple(
-        eqx.tree_at(lambda g: g.values, g, g.values + errors(g, k)) for g, k in zip(block.groups, keys[1:], strict=True)
-    )
-    return eqx.tree_at(lambda b: (b.rays.coordinates, b.groups), block, (rays, groups))
 
 
 def in_batches(one: Callable, size: int = 100) -> Callable:

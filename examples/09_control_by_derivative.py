@@ -1,0 +1,56 @@
+"""Where should four control points stand? The derivative of the predicted accuracy tells, an exchange search checks.
+
+A block of two strips, seen by the covariance alone: nothing is measured and nothing is adjusted. The points start in
+the middle of the block; jax.grad of the mean predicted variance goes back through the normal equations to their
+positions, and they walk as long as the variance falls. The best four of all tie point places, found by exchange on the
+covariance, are the reference, and a convex relaxation says how much better any layout could be.
+"""
+
+import jax
+import numpy as np
+
+import jaxbundle as jb
+
+jax.config.update("jax_enable_x64", True)
+from jaxbundle import planning as pl  # noqa: E402
+
+base = 0.4 * 230 * 1500 / 153  # m: four tenths of an image on the ground
+unit = 0.005e-3 * 1500 / 0.153  # m: sigma of an image coordinate on the ground
+start = tuple((x * base, y * base) for x in (1.6, 4.4) for y in (0.2, 1.8))
+sigmas = (0.5 * unit,) * 3
+control = pl.ControlSet("points", sigmas=sigmas, points=start)
+plan = pl.FlightPlan(2, 7, side_overlap=0.2, ties=pl.Ties("grid", 12), tilt=0.0, scatter=0.0, control=(control,))
+truth = pl.simulate_flight(plan).truth
+measure = pl.mean_variance()
+
+found = pl.derivatives_of(truth, plan, measure)
+root = found.value**0.5
+print(f"start: root mean variance {root / unit:.2f} sigma0 m")
+print("1 m to the outside changes it by [mm]: along and across the strips")
+for k, (x, y, _) in zip(found.control, found.control_positions, strict=True):
+    outwards = np.sign(np.asarray(truth.object_points)[k, :2] - np.asarray(truth.object_points)[:, :2].mean(0))
+    change = 1000 * outwards * np.array([x, y]) / (2 * root)
+    print(f"  point {truth.structure.point_names[k]:4}" + "".join(f"{c:9.4f}" for c in change))
+
+moved, values = pl.steepest_positions(truth, found.control, measure, reach=0.6 * base, steps=6)
+print("walk against the gradient:", " ".join(f"{v**0.5 / unit:.2f}" for v in values))
+
+free = jb.simulate(2, 7, side_overlap=0.2, relief=0.0, tilt=0.0, points_per_image=12, control_rows=0).truth
+candidates = pl.candidates_of(free, np.arange(len(free.structure.point_names)), sigmas)
+layout = pl.best_layout(candidates, 4)
+bound = layout.bound**0.5
+print(
+    f"exchange over {len(candidates.points)} places: {layout.objective**0.5 / unit:.2f}, lower bound {bound / unit:.2f}"
+)
+print("picture (o tie point, C control by exchange, + control after the walk)")
+xy = np.asarray(free.object_points)[:, :2]
+low, size = xy.min(0), np.ptp(xy, axis=0)
+picture = [[" "] * 61 for _ in range(15)]
+for mark, places in (
+    ("o", xy),
+    ("C", xy[layout.points]),
+    ("+", np.asarray(moved.object_points)[found.control, :2]),
+):
+    for column, row in np.round((places - low) / size * [60, 14]).astype(int):
+        picture[14 - row][column] = mark
+print("\n".join("".join(row).rstrip() for row in picture))

@@ -1,0 +1,142 @@
+"""What a predicted precision is worth: measures of it, and the check of a specification.
+
+Measures are differentiable functions of variances, so that `jax.grad` goes from a measure to whatever the block is made
+of. They judge the points that are not control, in the coordinates that are unknown.
+"""
+
+from collections.abc import Callable
+from typing import NamedTuple
+
+import jax
+import jax.numpy as jnp
+import numpy as np
+from jaxtyping import Array, Bool, Float
+
+from jaxbundle.block.block import Block
+from jaxbundle.block.observations import CONTROL
+from jaxbundle.numerics.host import array_module, on_host
+from jaxbundle.planning.flight import FlightPlan
+from jaxbundle.planning.ground import inside
+from jaxbundle.planning.predict import Prediction
+
+Measure = Callable[[Prediction], Array]
+Points = Bool[np.ndarray, " point"]
+Weights = tuple[float, float, float]
+EQUAL = (1.0, 1.0, 1.0)
+
+
+class Specification(NamedTuple):
+    """Largest standard deviations of X and Y (each) and of Z, object unit, that a share of the points has to keep."""
+
+    xy: float
+    z: float
+    share: float = 0.95
+
+
+class Check(NamedTuple):
+    """How a prediction keeps a specification."""
+
+    share_xy: float
+    share_z: float
+    share: float
+    """Of the points that keep both."""
+    passed: bool
+
+
+class Summary(NamedTuple):
+    """The predicted standard deviations of the judged points, object unit; `worst`: names of points."""
+
+    count: int
+    rms: Float[np.ndarray, "3"]
+    median: Float[np.ndarray, "3"]
+    maximum: Float[np.ndarray, "3"]
+    worst: tuple[str, str, str]
+
+
+def control_of(block: Block) -> Bool[np.ndarray, " point"]:
+    """Points with an observed or a fixed coordinate."""
+    structure = block.structure
+    found = ~structure.point_free.all(1)
+    for group in block.groups:
+        if group.structure.kind == CONTROL:
+            members = group.structure.observed.any(1)
+            found[group.structure.indices[members, 0]] = True
+    return found
+
+
+def judged_points(block: Block) -> Bool[np.ndarray, " point"]:
+    """Points that a measure looks at: all but the control points; all of them where there is nothing else."""
+    control = control_of(block)
+    return ~control if not control.all() else np.ones_like(control)
+
+
+def in_area(block: Block, plan: FlightPlan) -> Points:
+    """The points of a flight that matter: within its area, and not control; all but control of a flight without one."""
+    judged = judged_points(block)
+    if not plan.area:
+        return judged
+    return judged & inside(np.asarray(plan.area, float), np.asarray(block.object_points)[:, :2])
+
+
+def point_variances(prediction: Prediction, points: Points | None = None) -> Float[Array, "point 3"]:
+    """Variances of X, Y, Z of the judged points, or of others."""
+    blocks = prediction.cofactors.object_points
+    xp = array_module(blocks)
+    chosen = np.flatnonzero(judged_points(prediction.block) if points is None else points)
+    return xp.diagonal(on_host(blocks), axis1=1, axis2=2)[chosen]
+
+
+def mean_variance(weights: Weights = EQUAL, points: Points | None = None) -> Measure:
+    """The mean variance of the judged points, X, Y and Z weighted: the criterion A of optimal design."""
+    w = np.asarray(weights) / np.sum(weights)
+    return lambda prediction: jnp.mean(point_variances(prediction, points) @ w)
+
+
+def smooth_worst(sharpness: float = 20.0, weights: Weights = EQUAL, points: Points | None = None) -> Measure:
+    """A smooth maximum of the weighted variances of the points, (1/beta) log mean exp(beta variance).
+
+    beta is `sharpness` over the largest variance: the result is below the maximum by log(points) / beta at most.
+    """
+    w = np.asarray(weights) / np.sum(weights)
+
+    def measure(prediction: Prediction) -> Array:
+        variances = jnp.asarray(point_variances(prediction, points) @ w)
+        beta = sharpness / jax.lax.stop_gradient(variances.max())
+        return (jax.scipy.special.logsumexp(beta * variances) - jnp.log(len(variances))) / beta
+
+    return measure
+
+
+def smooth_share(specification: Specification, width: float = 0.1, points: Points | None = None) -> Measure:
+    """The share of points within a specification, each counted by a logistic step of this relative width."""
+    limits = np.array([specification.xy, specification.xy, specification.z])
+
+    def measure(prediction: Prediction) -> Array:
+        deviations = jnp.sqrt(point_variances(prediction, points))
+        worst = jnp.max(deviations / limits, axis=1)
+        return jnp.mean(jax.nn.sigmoid((1 - worst) / width))
+
+    return measure
+
+
+def check_specification(prediction: Prediction, specification: Specification, points: Points | None = None) -> Check:
+    """Whether enough points keep a specification; `points`: the judged ones, all but control unless given.
+
+    Raises: ValueError for limits that are not positive or a share that is not from 0 to 1.
+    """
+    if not (specification.xy > 0 and specification.z > 0 and 0 < specification.share <= 1):
+        raise ValueError(f"{specification}: give positive limits in the object unit and a share from 0 to 1")
+    deviations = np.sqrt(np.asarray(point_variances(prediction, points)))
+    plan, height = (deviations[:, :2] <= specification.xy).all(1), deviations[:, 2] <= specification.z
+    both = float((plan & height).mean())
+    return Check(float(plan.mean()), float(height.mean()), both, both >= specification.share)
+
+
+def summary_of(prediction: Prediction, points: Points | None = None) -> Summary:
+    """The judged points, all but control unless others are given, in a few numbers."""
+    points = judged_points(prediction.block) if points is None else points
+    deviations = np.sqrt(np.asarray(point_variances(prediction, points)))
+    names = np.array(prediction.block.structure.point_names)[points]
+    x, y, z = (str(name) for name in names[deviations.argmax(0)])
+    rms = np.sqrt((deviations**2).mean(0))
+    return Summary(len(names), rms, np.median(deviations, axis=0), deviations.max(0), (x, y, z))

@@ -1,0 +1,154 @@
+"""From a drawn flight to a block: structure, observations, their errors, and rough approximate values."""
+
+import math
+
+import equinox as eqx
+import jax.numpy as jnp
+import numpy as np
+from jaxtyping import Array, Bool, Float
+
+from jaxbundle.block.block import (
+    CENTRE_ELEMENTS,
+    Block,
+    Camera,
+    CheckPoints,
+    Datum,
+    ExteriorOrientation,
+    InteriorOrientation,
+    Rays,
+    Structure,
+)
+from jaxbundle.block.observations import CONTROL, ObservationGroup, observation_group
+from jaxbundle.geometry.rotation import OMEGA_PHI_KAPPA
+from jaxbundle.planning.flight import SCATTER, AerialCamera, FlightPlan
+from jaxbundle.planning.navigation import Observed
+from jaxbundle.planning.scene import Incidence, Scene
+
+ROUGH_ANGLE = math.radians(1.0)  # approximate attitudes off the truth; positions are off by SCATTER
+LONG = 1.002  # principal distance at the start over the true one, where it is estimated
+
+
+def structure_of(plan: FlightPlan, scene: Scene, seen: Incidence, navigation: Observed) -> Structure:
+    """Names, incidences and what is unknown."""
+    camera, model = plan.camera, plan.camera.model
+    names = scene.stations.names
+    exterior_free = np.ones((len(names), 6), bool)
+    datum = Datum("open")
+    if not scene.is_control.any() and plan.gnss is None:
+        last = int((scene.stations.strip == 0).sum()) - 1
+        exterior_free[0], exterior_free[last, 0] = False, False
+        held = [(names[0], element) for element in (*CENTRE_ELEMENTS, *OMEGA_PHI_KAPPA.angles)]
+        datum = Datum("fixed", (*held, (names[last], "X0")))
+    return Structure(
+        name=plan.name or f"{plan.strips} x {plan.images} images",
+        cameras=(_camera(camera),),
+        image_names=names,
+        point_names=tuple(str(k + 1) for k in range(len(scene.points))),
+        image_camera=np.zeros(len(names), np.int32),
+        ray_image=seen.image,
+        ray_point=seen.point,
+        exterior_free=exterior_free,
+        interior_free=np.array([[element in camera.estimate for element in model.elements]]),
+        point_free=scene.control != 0,
+        check_point=_check_points(plan, scene),
+        datum=datum,
+        parameters=navigation.parameters,
+        source=f"simulated, seed {plan.seed}",
+    )
+
+
+def _check_points(plan: FlightPlan, scene: Scene) -> np.ndarray:
+    """Those of the list, or tie points at equal distances in the order of all."""
+    if not isinstance(plan.check_points, int):
+        return np.flatnonzero(scene.listed_check)
+    control = int(scene.is_control.sum())
+    tie = len(scene.points) - control
+    return control + (np.arange(plan.check_points) + 1) * tie // (plan.check_points + 1)
+
+
+def _camera(camera: AerialCamera) -> Camera:
+    if camera.pixel_size is None:
+        return Camera("camera", camera.model, "mm")
+    width, height = (round(length / camera.pixel_size) for length in (camera.width, camera.height))
+    return Camera("camera", camera.model, "px", width, height, metric=True)
+
+
+def block_of(
+    plan: FlightPlan,
+    scene: Scene,
+    structure: Structure,
+    coordinates: Float[np.ndarray, "ray 2"],
+    navigation: Observed,
+) -> Block:
+    """The block at its true values, observations without errors."""
+    check = scene.points[structure.check_point]
+    return Block(
+        structure,
+        ExteriorOrientation(jnp.asarray(scene.centres), jnp.asarray(scene.angles)),
+        InteriorOrientation(jnp.array([list(plan.camera.interior().values())])),
+        jnp.asarray(scene.points),
+        Rays(jnp.asarray(coordinates), jnp.full(coordinates.shape, plan.sigma)),
+        (*_control(scene), *navigation.groups),
+        CheckPoints(jnp.asarray(check), jnp.zeros(check.shape)),
+        jnp.asarray(navigation.values),
+    )
+
+
+def _control(scene: Scene) -> tuple[ObservationGroup, ...]:
+    """Weighted control coordinates, without errors."""
+    weighted = scene.control > 0
+    members = np.flatnonzero(weighted.any(1))
+    if not len(members):
+        return ()
+    sigmas = np.where(weighted, scene.control, np.nan)[members]
+    return (observation_group(CONTROL, members[:, None], scene.points[members], sigmas),)
+
+
+def with_errors(truth: Block, noise: float, rng: np.random.Generator) -> Block:
+    """The block with normal errors in everything observed."""
+
+    def measured(values: Array, sigmas: Array, observed: Bool[np.ndarray, "..."] | bool) -> Array:
+        return values + jnp.where(observed, noise * sigmas * rng.standard_normal(values.shape), 0.0)
+
+    rays = measured(truth.rays.coordinates, truth.rays.sigmas, True)
+    groups = tuple(
+        eqx.tree_at(lambda g: g.values, group, measured(group.values, group.sigmas, group.structure.observed))
+        for group in truth.groups
+    )
+    return eqx.tree_at(lambda b: (b.rays.coordinates, b.groups), truth, (rays, groups))
+
+
+def with_gross_errors(block: Block, plan: FlightPlan, rng: np.random.Generator) -> tuple[Block, np.ndarray]:
+    """The block with gross errors in some rays, and which these are."""
+    count = round(plan.gross_errors.share * len(block.structure.ray_image))
+    if not count:
+        return block, np.zeros(0, int)
+    rays = np.sort(rng.choice(len(block.structure.ray_image), count, replace=False))
+    errors = np.zeros(block.rays.coordinates.shape)
+    sign, component = rng.choice([-1.0, 1.0], count), rng.integers(0, 2, count)
+    errors[rays, component] = sign * plan.gross_errors.size * plan.sigma
+    return eqx.tree_at(lambda b: b.rays.coordinates, block, block.rays.coordinates + errors), rays
+
+
+def with_approximations(block: Block, plan: FlightPlan, rng: np.random.Generator) -> Block:
+    """The block with rough values in place of what is unknown, and given ones in place of what is held."""
+    structure, size, camera = block.structure, SCATTER * plan.height, plan.camera
+    rough = np.where(structure.exterior_free, rng.standard_normal(structure.exterior_free.shape), 0.0)
+    points = np.where(structure.point_free, size * rng.standard_normal(structure.point_free.shape), 0.0)
+    start = dict(zip(("x0", "y0"), camera.centre, strict=True), principal_distance=LONG * camera.principal_distance)
+    interior = [
+        start.get(element, 0.0) if element in camera.estimate else value for element, value in camera.given().items()
+    ]
+    return eqx.tree_at(
+        lambda b: (b.exterior, b.interior.elements, b.object_points, b.parameters),
+        block,
+        (
+            ExteriorOrientation(
+                block.exterior.projection_centre + size * rough[:, :3],
+                block.exterior.angles + ROUGH_ANGLE * rough[:, 3:],
+            ),
+            jnp.array([interior]),
+            block.object_points + points,
+            jnp.where(structure.parameter_free, 0.0, block.parameters),
+        ),
+    )

@@ -1,0 +1,220 @@
+"""Where k control points should stand: exchange on the covariance, and a lower bound of all layouts.
+
+    C'  = C - C_k (C_kk + S)^-1 C_k^T                      a layout k chosen: one update, no normal equations
+    f(z) = tr W (M_0 + sum z_i F_i)^-1 / sum W             convex in 0 <= z <= 1, sum z = k; its minimum is below all
+    df/dz_i = - tr F_i (Q W Q)_ii                          F = S^-1: what control at a candidate would tell
+    f(z) - g^T (z - d) <= f of every layout                d: 1 at the k most negative g, else 0 (Frank & Wolfe 1956)
+
+(Joshi & Boyd 2009, IEEE TSP 57(2) 451: relaxation, rounding, exchange.) The bound may be far below the best layout
+where control is much better than the block; its gap is part of the answer.
+"""
+
+from typing import NamedTuple
+
+import numpy as np
+import scipy.linalg
+from jaxtyping import Float, Int
+
+from jaxbundle.planning.candidates import Candidates
+
+CRITERIA = ("mean", "worst")
+SWEEPS = 30  # of the exchange; it ends by itself after a few
+STEPS = 150  # of the relaxation
+GAIN = 1e-9  # relative: an exchange that gains less is none
+
+
+class Objective(NamedTuple):
+    """What is to be small: the "mean" or the "worst" of the points' variances, X, Y, Z weighted."""
+
+    criterion: str = "mean"
+    weights: tuple[float, float, float] = (1.0, 1.0, 1.0)
+
+    def value(self, variances: Float[np.ndarray, "*other target 3"]) -> Float[np.ndarray, "*other"]:
+        """The objective of variances."""
+        by_point = variances @ (np.asarray(self.weights) / np.sum(self.weights))
+        if self.criterion == "mean":
+            return by_point.mean(-1)
+        # the mean tells layouts apart whose worst points are equally bad
+        return by_point.max(-1) + 1e-6 * by_point.mean(-1)
+
+
+class Layout(NamedTuple):
+    """A layout of control points and what it leads to."""
+
+    points: Int[np.ndarray, " chosen"]
+    """Which points of the block become control."""
+    objective: float
+    """In squared object units."""
+    variances: Float[np.ndarray, "target 3"]
+    bound: float
+    """No layout of so many points has a smaller objective; NaN where it was not computed."""
+
+    @property
+    def gap(self) -> float:
+        """How much smaller the objective of another layout may be, as a share of this one's."""
+        return 1 - self.bound / self.objective
+
+
+MEAN = Objective()
+
+
+def best_layout(candidates: Candidates, count: int, objective: Objective = MEAN, bound: bool = True) -> Layout:
+    """The best layout found of `count` points: exchange from a greedy start and from the rounded relaxation.
+
+    Args:
+        candidates: covariances of the block with the places.
+        count: k, number of points.
+        objective: what is to be small.
+        bound: compute the lower bound; for the mean, and control with errors.
+
+    Raises: ValueError for more points than candidates or an unknown criterion.
+    """
+    total = len(candidates.points)
+    if not 1 <= count <= total:
+        raise ValueError(f"{count} control points of {total} candidates; give 1 to {total}")
+    if objective.criterion not in CRITERIA:
+        raise ValueError(f"criterion {objective.criterion!r} is unknown; there are {', '.join(CRITERIA)}")
+    starts, lower = [greedy(candidates, count, objective), spread_start(candidates, count)], np.nan
+    if (candidates.noise > 0).all():
+        z, lower = relaxation(candidates, count, objective.weights)
+        starts.append([int(k) for k in np.argsort(-z, kind="stable")[:count]])
+    layouts = [exchange(candidates, start, objective) for start in starts]
+    chosen = min(layouts, key=lambda layout: value_of(candidates, layout, objective))
+    after = conditioned(candidates, chosen).variances
+    lower = lower if bound and objective.criterion == "mean" else np.nan
+    return Layout(candidates.points[sorted(chosen)], float(objective.value(after)), after, float(lower))
+
+
+def spread_start(candidates: Candidates, count: int) -> list[int]:
+    """Places far from each other: each next one has the largest uncertainty relative to those before it."""
+    chosen: list[int] = []
+    for _ in range(count):
+        own = conditioned(candidates, chosen).own
+        size = np.array([np.trace(own[k, :, k]) for k in range(len(own))])
+        size[chosen] = -1
+        chosen.append(int(size.argmax()))
+    return chosen
+
+
+def value_of(candidates: Candidates, chosen: list[int], objective: Objective) -> float:
+    """The objective of a layout, places by their numbers among the candidates."""
+    return float(objective.value(conditioned(candidates, chosen).variances))
+
+
+def conditioned(candidates: Candidates, chosen: list[int]) -> Candidates:
+    """The covariances once these candidates are control."""
+    if not chosen:
+        return candidates
+    c, total = candidates.own.shape[1], len(candidates.points)
+    own = candidates.own.reshape(total * c, total * c)
+    rows = (np.array(chosen)[:, None] * c + np.arange(c)).ravel()
+    matrix = own[np.ix_(rows, rows)] + np.diag(np.tile(candidates.noise, len(chosen)))
+    factor = scipy.linalg.cholesky(matrix, lower=True)
+    half = scipy.linalg.solve_triangular(factor, own[rows], lower=True)
+    cross = candidates.cross.reshape(-1, total * c)
+    left = scipy.linalg.solve_triangular(factor, cross[:, rows].T, lower=True)
+    return candidates._replace(
+        variances=candidates.variances - (left**2).sum(0).reshape(-1, 3),
+        cross=(cross - left.T @ half).reshape(candidates.cross.shape),
+        own=(own - half.T @ half).reshape(candidates.own.shape),
+    )
+
+
+def after_each(candidates: Candidates, objective: Objective) -> Float[np.ndarray, " candidate"]:
+    """The objective with each candidate added to what is chosen."""
+    total, c = candidates.own.shape[:2]
+    matrices = candidates.own[np.arange(total), :, np.arange(total)] + np.diag(candidates.noise)
+    # a fixed candidate that is chosen already has nothing to tell
+    inverse = np.linalg.pinv(matrices, hermitian=True)
+    by_candidate = candidates.cross.transpose(2, 0, 1, 3)
+    told = by_candidate @ inverse[:, None]
+    return objective.value(candidates.variances - (told * by_candidate).sum(-1))
+
+
+def greedy(candidates: Candidates, count: int, objective: Objective) -> list[int]:
+    """One point after the other, each where it helps most."""
+    chosen: list[int] = []
+    for _ in range(count):
+        values = after_each(conditioned(candidates, chosen), objective)
+        values[chosen] = np.inf
+        chosen.append(int(values.argmin()))
+    return chosen
+
+
+def exchange(candidates: Candidates, start: list[int], objective: Objective) -> list[int]:
+    """Exchanges one point at a time for a better place until none helps (Fedorov 1972)."""
+    chosen, value = list(start), value_of(candidates, start, objective)
+    for _ in range(SWEEPS):
+        before = value
+        for k in range(len(chosen)):
+            others = [*chosen[:k], *chosen[k + 1 :]]
+            values = after_each(conditioned(candidates, others), objective)
+            values[others] = np.inf
+            best = int(values.argmin())
+            if values[best] < value * (1 - GAIN):
+                chosen[k], value = best, float(values[best])
+        if value >= before * (1 - GAIN):
+            return chosen
+    return chosen
+
+
+def relaxation(
+    candidates: Candidates, count: int, weights: tuple[float, float, float] = (1.0, 1.0, 1.0)
+) -> tuple[Float[np.ndarray, " candidate"], float]:
+    """Shares z of the candidates with the smallest mean variance, by projected gradients, and the lower bound.
+
+    Raises: ValueError for errorless control, of which no share can be taken.
+    """
+    if not (candidates.noise > 0).all():
+        raise ValueError("errorless control cannot be shared out: give sigmas for a lower bound")
+    relaxed = _Relaxed(candidates, np.asarray(weights) / np.sum(weights))
+    z = np.full(len(candidates.points), count / len(candidates.points))
+    value, gradient = relaxed(z)
+    step, bound = 0.1 / np.abs(gradient).max(), -np.inf
+    for _ in range(STEPS):
+        while True:
+            trial = onto_capped_simplex(z - step * gradient, count)
+            new, new_gradient = relaxed(trial)
+            if new <= value + gradient @ (trial - z) + ((trial - z) ** 2).sum() / (2 * step) or step < 1e-12:
+                break
+            step /= 2
+        z, value, gradient, step = trial, new, new_gradient, step * 1.5
+        best = np.argsort(gradient)[:count]
+        bound = max(bound, value - float(gradient @ z - gradient[best].sum()))
+        if value - bound < 1e-4 * value:
+            break
+    return z, float(bound)
+
+
+class _Relaxed:
+    """f and its gradient."""
+
+    def __init__(self, candidates: Candidates, weights: Float[np.ndarray, "3"]):
+        total, c = candidates.own.shape[:2]
+        self.own = candidates.own.reshape(total * c, total * c)
+        cross = candidates.cross.reshape(-1, total * c)
+        of_rows = np.tile(weights, len(candidates.judged)) / len(candidates.judged)
+        self.products = cross.T @ (of_rows[:, None] * cross)
+        self.start = float(of_rows @ candidates.variances.ravel())
+        self.information = np.tile(1 / candidates.noise, total)
+        self.size = c
+
+    def __call__(self, z: Float[np.ndarray, " candidate"]) -> tuple[float, Float[np.ndarray, " candidate"]]:
+        root = np.sqrt(np.repeat(np.maximum(z, 0.0), self.size) * self.information)
+        matrix = root[:, None] * self.own * root + np.eye(len(root))
+        factor = scipy.linalg.cho_factor(matrix, lower=True)
+        # Q_c = (I - own R M^-1 R) applied from the left gives the covariances after the control
+        gain = root[:, None] * scipy.linalg.cho_solve(factor, np.diag(root))
+        left = np.eye(len(root)) - self.own @ gain
+        value = self.start - float(np.sum(gain * self.products))
+        after = np.einsum("ij,jk,ik->i", left, self.products, left, optimize=True)
+        return value, -(self.information * after).reshape(-1, self.size).sum(1)
+
+
+def onto_capped_simplex(z: Float[np.ndarray, " candidate"], total: float) -> Float[np.ndarray, " candidate"]:
+    """The nearest z with 0 <= z <= 1 and this sum, by bisection of the shift."""
+    low, high = z.min() - 1.0, z.max()
+    for _ in range(60):
+        middle = (low + high) / 2
+        low, high = (middle, high) if np.clip(z - middle, 0, 1).sum() > total else (low, middle)
+    return np.clip(z - (low + high) / 2, 0, 1)

@@ -1,0 +1,45 @@
+"""Terrains by a formula or a grid of heights: functions of X and Y for `Terrain.heights`."""
+
+import math
+from collections.abc import Callable
+
+import numpy as np
+from jaxtyping import Float
+from scipy.interpolate import RegularGridInterpolator
+
+Heights = Callable[[np.ndarray, np.ndarray], np.ndarray]
+
+
+def waves(relief: float, wavelength: float) -> Heights:
+    """Hills and hollows, relief/2 sin(2 pi X / L) sin(2 pi Y / L), in object units."""
+    k = 2 * math.pi / wavelength
+    return lambda x, y: relief / 2 * np.sin(k * x) * np.sin(k * y)
+
+
+def slope(along_x: float, along_y: float) -> Heights:
+    """A plane that rises by these shares of the way along X and Y."""
+    return lambda x, y: along_x * x + along_y * y
+
+
+def grid_heights(points: Float[np.ndarray, "point 3"]) -> Heights:
+    """Heights between the points of a regular grid, bilinear; beyond its edge those of the edge.
+
+    Args:
+        points: X, Y, Z of all nodes, in any order.
+
+    Raises: ValueError for points that are not the nodes of a grid of lines of equal X and of equal Y.
+    """
+    x, y = np.unique(points[:, 0]), np.unique(points[:, 1])
+    if len(x) < 2 or len(y) < 2 or len(points) != len(x) * len(y):
+        what = f"{len(points)} heights on {len(x)} values of X and {len(y)} of Y are not a grid"
+        raise ValueError(f"{what}; give a height for every X with every Y, 2 of each or more")
+    z = np.full((len(x), len(y)), np.nan)
+    z[np.searchsorted(x, points[:, 0]), np.searchsorted(y, points[:, 1])] = points[:, 2]
+    if not np.isfinite(z).all():
+        raise ValueError("the grid has nodes without a height; give a finite number for every node, each once")
+    inside = RegularGridInterpolator((x, y), z)
+
+    def heights(px: np.ndarray, py: np.ndarray) -> np.ndarray:
+        return inside(np.c_[np.clip(px, x[0], x[-1]), np.clip(py, y[0], y[-1])])
+
+    return heights
