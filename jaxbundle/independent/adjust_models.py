@@ -21,8 +21,9 @@ from jaxbundle.block.problems import BlockError, Problem
 from jaxbundle.block.wording import counted, named
 from jaxbundle.independent.chains import MIN_COMMON, chains
 from jaxbundle.independent.formation import Models, form_models
-from jaxbundle.independent.model_block import ModelBlock, model_block
+from jaxbundle.independent.model_block import model_block
 from jaxbundle.independent.photographs import Oriented, Within, oriented_angles, with_orientations
+from jaxbundle.independent.sensor_block import SensorBlock
 from jaxbundle.independent.sensors import unwhitened
 from jaxbundle.numerics.precision import require_float64
 from jaxbundle.solve.adjust import Progress, adjust
@@ -188,15 +189,15 @@ def _fixed_interior(block: Block) -> list[Finding]:
     return [Finding(Kind.INFORMATION, what, "estimate interior elements by the bundle method", subjects)]
 
 
-def _oriented(block: Block, of_models: ModelBlock, models: Models, adjustment: Adjustment) -> Oriented:
+def _oriented(block: Block, of_models: SensorBlock, models: Models, adjustment: Adjustment) -> Oriented:
     """Centres from the tie points that they are, attitudes from one model each."""
-    stand, count = of_models.stand, len(block.structure.image_names)
+    sensors, count = of_models.sensors, len(block.structure.image_names)
     exterior, sd = np.full((count, 6), np.nan), np.full((count, 6), np.nan)
     images, points = of_models.images, len(of_models.points)
-    model = stand.sensor[images]
+    model = sensors.of_image[images]
     variance, turned = float(adjustment.sigma0) ** 2, models.shared_angles[model]
     second = (models.pair[model, 1] == images)[:, None, None]
-    rotation = stand.rotation[images]
+    rotation = sensors.rotation[images]
     shared = np.broadcast_to(np.eye(5), (len(images), 5, 5))
     interior = np.asarray(adjustment.block.interior.elements)
     if interior.shape[1] > 1:  # the shared errors are estimated

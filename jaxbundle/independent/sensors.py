@@ -53,7 +53,12 @@ def factor_numbers(covariances: Float[np.ndarray, "ray 3 3"]) -> Float[np.ndarra
 
 def unwhitened(v: Float[np.ndarray, "ray 3"], numbers: Float[np.ndarray, "ray 6"]) -> Float[np.ndarray, "ray 3"]:
     """L v: residuals in the unit of the measured coordinates."""
-    factor = np.zeros((len(v), 3, 3))
+    return np.linalg.solve(lower_triangles(numbers), v[..., None])[..., 0]
+
+
+def lower_triangles(numbers: Float[np.ndarray, "ray 6"]) -> Float[np.ndarray, "ray 3 3"]:
+    """L^-1 of its numbers."""
+    factor = np.zeros((len(numbers), 3, 3))
     for k, (i, j) in enumerate(FACTOR):
         factor[:, i, j] = numbers[:, k]
-    return np.linalg.solve(factor, v[..., None])[..., 0]
+    return factor
