@@ -108,7 +108,7 @@ def adjust_models(
         oriented,
         of_models.points,
         models,
-        in_order((*told, *of_models.findings, *_fixed_interior(block))),
+        in_order((*told, *of_models.findings, *fixed_interior(block))),
     )
 
 
@@ -177,7 +177,7 @@ def _left_out(block: Block, models: Models) -> list[Finding]:
     return told
 
 
-def _fixed_interior(block: Block) -> list[Finding]:
+def fixed_interior(block: Block) -> list[Finding]:
     """Interior elements that the user wants to estimate."""
     s = block.structure
     rows = np.argwhere(s.interior_free)

@@ -13,10 +13,12 @@ from typing import NamedTuple
 
 import numpy as np
 import scipy.sparse as sp
+from jaxtyping import Float
 
 from jaxbundle.block.block import Block
 from jaxbundle.block.design import MAX_UNKNOWNS
 from jaxbundle.independent.formation import Models
+from jaxbundle.independent.joined import element_errors, point_errors
 from jaxbundle.independent.sensors import lower_triangles
 from jaxbundle.solve.adjustment import Adjustment
 from jaxbundle.statistics.dense import UnknownTables, dense_system
@@ -70,30 +72,26 @@ def all_errors(block: Block, of_rays: sp.csr_matrix, of_priors: sp.csr_matrix | 
 
 def model_errors(models: Models, block: Block, rays: int, estimate_shared: bool) -> sp.csr_matrix:
     """M of the block of models, by the errors of `rays` rays of photographs."""
-    numbers = np.asarray(block.rays.coordinates)[:, 3:9]
-    factor = lower_triangles(numbers)
+    factor = lower_triangles(np.asarray(block.rays.coordinates)[:, 3:9])
     parts, priors, at = [], [], 0
     for m in range(len(models)):
         used = np.flatnonzero(models.used[m])
-        columns = (2 * models.ray[m, used][:, :, None] + np.arange(2)).reshape(len(used), 4)
-        e = sp.csr_matrix(
-            (
-                models.elements[m, used].transpose(1, 0, 2).ravel(),
-                (np.repeat(np.arange(5), 4 * len(used)), np.tile(columns.ravel(), 5)),
-            ),
-            (5, 2 * rays),
-        )
-        shared = np.concatenate([models.shared[m, used], np.zeros((1, 3, 5)), models.shared_base[m][None]])
-        here = factor[at : at + len(used) + 2]
-        own = -here[:-2] @ models.own[m, used]
-        row = np.repeat(np.arange(3 * len(used)), 4)
-        column = np.repeat(columns, 3, axis=0).ravel()
-        m_rows = sp.csr_matrix((own.ravel(), (row, column)), (3 * len(used) + 6, 2 * rays))
-        if not estimate_shared:
-            m_rows = m_rows - sp.csr_matrix((here @ shared).reshape(-1, 5)) @ e
-        parts.append(m_rows)
+        e = element_errors(models, m, rays)
+        points = point_errors(models, m, used, rays)
+        base = sp.csr_matrix(models.shared_base[m]) @ e
+        if estimate_shared:
+            points, base = points - sp.csr_matrix(models.shared[m, used].reshape(-1, 5)) @ e, 0 * base
+        whole = sp.vstack([points, sp.csr_matrix((3, 2 * rays)), base])
+        parts.append(-whitening(factor[at : at + len(used) + 2]) @ whole)
         # the unknown is the correction, minus the error; the scale has no prior
         priors.append(sp.vstack([sp.csr_matrix((1, 2 * rays)), -e]))
         at += len(used) + 2
-    of_rays = sp.vstack(parts, format="csr")
-    return all_errors(block, of_rays, sp.vstack(priors, format="csr") if estimate_shared else None)
+    return all_errors(
+        block, sp.vstack(parts, format="csr"), sp.vstack(priors, format="csr") if estimate_shared else None
+    )
+
+
+def whitening(factor: Float[np.ndarray, "ray 3 3"]) -> sp.csr_matrix:
+    """The factors L^-1 as one block-diagonal matrix."""
+    count = len(factor)
+    return sp.csr_matrix(sp.bsr_matrix((factor, np.arange(count), np.arange(count + 1)), (3 * count, 3 * count)))

@@ -4,11 +4,10 @@ The projection centre of a photograph is an object point of its own. The rotatio
 belongs to times its constant rotation within the model.
 """
 
-from collections.abc import Callable
-from functools import cache
-from typing import NamedTuple
-
 import dataclasses
+from dataclasses import dataclass
+from functools import cache
+from typing import Any, NamedTuple
 
 import numpy as np
 from jaxtyping import Float, Int
@@ -36,6 +35,23 @@ class Stand(NamedTuple):
     """Matrix sensor_from_image."""
 
 
+@dataclass(frozen=True)
+class _Residual:
+    """The residual of a kind that touches sensors: a class, so that compiled programs are found again by its fields."""
+
+    kind: ObservationKind
+
+    def __call__(self, *arguments: Any) -> tuple[Scalar, ...]:
+        *touched, observed, constants = arguments
+        given, images, at = iter(touched), [], len(self.kind.constants)
+        for entity in self.kind.touches:
+            one = next(given)
+            if entity == "image":
+                one, at = (next(given), rotation.product(one[1], constants[at : at + 9])), at + 9
+            images.append(one)
+        return self.kind.residuals(tuple(images), observed, constants[: len(self.kind.constants)])
+
+
 @cache
 def kind_of_sensors(kind: ObservationKind) -> ObservationKind:
     """The kind that touches sensor and projection centre wherever another one touches an image.
@@ -45,32 +61,9 @@ def kind_of_sensors(kind: ObservationKind) -> ObservationKind:
     touches: list[str] = []
     for entity in kind.touches:
         touches += ["image", "point"] if entity == "image" else [entity]
-    count, own = kind.touches.count("image"), len(kind.constants)
-    names = tuple(f"{name}_{k + 1}" for k in range(count) for name in ROTATION)
-
-    def residual(*arguments: tuple) -> tuple[Scalar, ...]:
-        *touched, observed, constants = arguments
-        given, images, at = iter(touched), [], own
-        for entity in kind.touches:
-            one = next(given)
-            if entity == "image":
-                within = constants[at : at + 9]
-                one, at = (next(given), rotation.product(one[1], within)), at + 9
-            images.append(one)
-        return kind.residuals(tuple(images), observed, constants[:own])
-
-    return dataclasses.replace(
-        kind, touches=tuple(touches), residual=_Named(residual), constants=(*kind.constants, *names)
-    )
-
-
-class _Named(NamedTuple):
-    """A function with a hash: one of each kind."""
-
-    function: Callable[..., tuple[Scalar, ...]]
-
-    def __call__(self, *arguments: tuple) -> tuple[Scalar, ...]:
-        return self.function(*arguments)
+    names = tuple(f"{name}_{k + 1}" for k in range(kind.touches.count("image")) for name in ROTATION)
+    constants = (*kind.constants, *names)
+    return dataclasses.replace(kind, touches=tuple(touches), residual=_Residual(kind), constants=constants)
 
 
 def translated(
