@@ -56,10 +56,12 @@ if TYPE_CHECKING:
     from jaxbundle.diagnosis.adjusted import findings
     from jaxbundle.diagnosis.before import plausibility, prepared
     from jaxbundle.geometry.similarity import Similarity
+    from jaxbundle.independent.adjust_models import ModelAdjustment, adjust_models
+    from jaxbundle.independent.adjust_strips import StripAdjustment, adjust_strips
     from jaxbundle.io import read, read_bal, read_block_folder, write_bal, write_block_folder
     from jaxbundle.planning.flight import AerialCamera
     from jaxbundle.planning.simulate import Simulation, simulate
-    from jaxbundle.report import report_dict, report_text, write_report
+    from jaxbundle.report import report_dict, report_text, write_method_report, write_report
     from jaxbundle.solve.adjust import Progress, adjust
     from jaxbundle.solve.adjustment import Adjustment, Status
     from jaxbundle.solve.batch import Batch, Outcome, adjust_many
@@ -128,10 +130,12 @@ _MODULES = {
     "diagnosis.adjusted": ("findings",),
     "diagnosis.before": ("plausibility", "prepared"),
     "geometry.similarity": ("Similarity",),
+    "independent.adjust_models": ("ModelAdjustment", "adjust_models"),
+    "independent.adjust_strips": ("StripAdjustment", "adjust_strips"),
     "io": ("read", "read_bal", "read_block_folder", "write_bal", "write_block_folder"),
     "planning.flight": ("AerialCamera",),
     "planning.simulate": ("Simulation", "simulate"),
-    "report": ("report_dict", "report_text", "write_report"),
+    "report": ("report_dict", "report_text", "write_method_report", "write_report"),
     "solve.adjust": ("Progress", "adjust"),
     "solve.adjustment": ("Adjustment", "Status"),
     "solve.batch": ("Batch", "Outcome", "adjust_many"),
@@ -188,6 +192,7 @@ __all__ = [
     "Huber",
     "InnerOrientation",
     "InteriorOrientation",
+    "ModelAdjustment",
     "ObservationGroup",
     "ObservationKind",
     "Options",
@@ -205,6 +210,7 @@ __all__ = [
     "Simulation",
     "Snooping",
     "Status",
+    "StripAdjustment",
     "Structure",
     "Subset",
     "ThreePointResection",
@@ -213,6 +219,8 @@ __all__ = [
     "absolute_orientation",
     "adjust",
     "adjust_many",
+    "adjust_models",
+    "adjust_strips",
     "all_control",
     "camera_rays",
     "collinearity",
@@ -259,6 +267,7 @@ __all__ = [
     "with_interior_held",
     "write_bal",
     "write_block_folder",
+    "write_method_report",
     "write_report",
 ]
 

@@ -23,6 +23,7 @@ from jaxbundle.independent.chains import MIN_COMMON, chains
 from jaxbundle.independent.formation import Models, form_models
 from jaxbundle.independent.model_block import model_block
 from jaxbundle.independent.photographs import Oriented, Within, oriented_angles, with_orientations
+from jaxbundle.independent.propagation import Propagated, model_errors, propagated
 from jaxbundle.independent.sensor_block import SensorBlock
 from jaxbundle.independent.sensors import unwhitened
 from jaxbundle.numerics.precision import require_float64
@@ -60,6 +61,13 @@ class ModelAdjustment(NamedTuple):
     def object_points(self) -> Float[np.ndarray, "point 3"]:
         """Adjusted coordinates of `points`."""
         return np.asarray(self.adjustment.block.object_points)[: len(self.points)]
+
+    def propagated(self) -> Propagated | None:
+        """Standard deviations by the errors of the image coordinates, which models share; None for a large block."""
+        estimated = len(self.adjustment.block.structure.model.elements) > 1
+        rays = len(self.block.structure.ray_image)
+        errors = model_errors(self.models, self.adjustment.block, rays, estimated)
+        return propagated(self.adjustment, errors)
 
 
 def adjust_models(

@@ -200,4 +200,3 @@ def _formed(rotation: Array, base: Array, length: Array, arrays: tuple[Array, ..
         elements,
         r,
     )
-

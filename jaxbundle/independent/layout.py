@@ -1,7 +1,7 @@
 """Whether the control of a strip suffices for its polynomials, before the adjustment and by name.
 
-Polynomials of degree n need n + 1 bands of control across the strip, from its begin to its end, and in each band a point
-near either edge, for the torsion of the strip. Two points that tie an edge to another strip stand for a control point
+Polynomials of degree n need n + 1 bands of control across the strip, from its begin to its end, and in each band a
+point near either edge, for the torsion of the strip. Two points that tie an edge to another strip stand for a control point
 there; an observed projection centre in a band stands for one of its edges.
 """
 
@@ -17,7 +17,10 @@ from jaxbundle.block.wording import figure
 
 EDGE = 0.3  # of half of the width: beyond, a point lies near the edge
 TIES = 2  # points that tie an edge to another strip
-BANDS = {3: ("at its begin", "in its middle", "at its end"), 4: ("at its begin", "in its second", "in its third", "at its end")}
+BANDS = {
+    3: ("at its begin", "in its middle", "at its end"),
+    4: ("at its begin", "in its second", "in its third", "at its end"),
+}
 
 
 class Supported(NamedTuple):

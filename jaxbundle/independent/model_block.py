@@ -50,8 +50,12 @@ def _inner(
     gh = g @ hd
     whole = np.einsum("pkj,lpj->kl", hd, h)
     transformed = shared - g @ np.einsum("kpi,pie->ke", h, shared)
-    return noise - gh - gh.transpose(0, 2, 1) + g @ whole @ g.transpose(0, 2, 1) + transformed @ transformed.transpose(
-        0, 2, 1
+    return (
+        noise
+        - gh
+        - gh.transpose(0, 2, 1)
+        + g @ whole @ g.transpose(0, 2, 1)
+        + transformed @ transformed.transpose(0, 2, 1)
     )
 
 

@@ -47,9 +47,7 @@ def curbed(form: Form, degree: int) -> dict[str, tuple[str, int]]:
     return {"a8": ("X", 2), "a9": ("Y", 2), "a10": ("Z", 2)}
 
 
-def correction(
-    form: Form, degree: int, c: tuple[Scalar, ...], at: tuple[Scalar, ...]
-) -> tuple[Scalar, Scalar, Scalar]:
+def correction(form: Form, degree: int, c: tuple[Scalar, ...], at: tuple[Scalar, ...]) -> tuple[Scalar, Scalar, Scalar]:
     """T C at normalised coordinates: x, y, z over half of the length, y over half of the width."""
     x, y, z, across = at
     terms = (1.0, x, across, x * x, x * across, x * x * x, x * x * across)[: COUNT[degree]]

@@ -103,7 +103,9 @@ def sensor_block(
         parameters=s.parameters,
         source=s.source,
     )
-    places = np.concatenate([np.asarray(block.object_points)[points], np.asarray(block.exterior.projection_centre)[images]])
+    places = np.concatenate(
+        [np.asarray(block.object_points)[points], np.asarray(block.exterior.projection_centre)[images]]
+    )
     new = Block(
         structure,
         ExteriorOrientation(on_device(sensors.centres), on_device(sensors.angles)),

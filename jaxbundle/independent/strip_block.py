@@ -76,7 +76,10 @@ def frames(rigid: Adjustment, strips: tuple[Strip, ...]) -> tuple[Frame, ...]:
     """The systems of the strips after their first orientation."""
     system = rigid.block.structure.rotation_system
     angles = np.asarray(rigid.block.exterior.angles)
-    centres, scales = np.asarray(rigid.block.exterior.projection_centre), np.asarray(rigid.block.interior.elements)[:, 0]
+    centres, scales = (
+        np.asarray(rigid.block.exterior.projection_centre),
+        np.asarray(rigid.block.interior.elements)[:, 0],
+    )
     found = []
     for k, strip in enumerate(strips):
         matrix = np.array([float(x) for x in system.rotation_from_angles(*angles[k])]).reshape(3, 3)
