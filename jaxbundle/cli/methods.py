@@ -1,4 +1,4 @@
-"""The methods of `jaxbundle adjust`: the bundle, independent models, independent strips, and one as the start of another."""
+"""The methods of `jaxbundle adjust`: bundle, independent models, independent strips; one as the start of another."""
 
 from collections.abc import Callable
 from pathlib import Path

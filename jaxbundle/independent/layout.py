@@ -1,8 +1,8 @@
 """Whether the control of a strip suffices for its polynomials, before the adjustment and by name.
 
 Polynomials of degree n need n + 1 bands of control across the strip, from its begin to its end, and in each band a
-point near either edge, for the torsion of the strip. Two points that tie an edge to another strip stand for a control point
-there; an observed projection centre in a band stands for one of its edges.
+point near either edge, for the torsion of the strip. Two points that tie an edge to another strip stand for a control
+point there; an observed projection centre in a band stands for one of its edges.
 """
 
 from typing import NamedTuple

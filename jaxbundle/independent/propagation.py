@@ -1,8 +1,9 @@
 """Standard deviations by propagation from the image coordinates: what the weights of the method leave out.
 
 A ray of an image that two models share has one error in both, and all points of a model share the errors of its
-relative orientation. The weights know nothing of that, so N^-1 is too good. With the errors of all observations, in units of
-their weights, as functions dv = M u of independent errors u of the image coordinates and of what else is observed,
+relative orientation. The weights know nothing of that, so N^-1 is too good. With the errors of all observations, in
+units of their weights, as functions dv = M u of independent errors u of the image coordinates and of what else is
+observed,
 
     x - x_true = -N^-1 A^T dv,    Q = N^-1 A^T M M^T A N^-1,    sigma0^2 = v^T P v / tr((I - A N^-1 A^T) M M^T)
 
