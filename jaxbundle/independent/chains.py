@@ -4,7 +4,7 @@ from typing import NamedTuple
 
 import numpy as np
 import scipy.sparse as sp
-from jaxtyping import Float, Int
+from jaxtyping import Bool, Float, Int
 
 from jaxbundle.block.block import Structure
 
@@ -44,7 +44,7 @@ def chains(
     base = centres[j] - centres[i]
     length = np.linalg.norm(base, axis=1)
     far = length > MIN_BASE * _distances(structure, centres, points)[pairs.pair].mean(1)
-    preference = pairs.common * np.where(j - i == 1, IN_ORDER, 1.0)
+    preference = pairs.common * np.where((j - i == 1) & _along(centres)[i], IN_ORDER, 1.0)
     neighbours: list[list[int]] = [[] for _ in structure.image_names]
     strip = np.arange(len(neighbours))
     for k in np.argsort(-preference, kind="stable"):
@@ -65,6 +65,18 @@ def _distances(
     known = np.isfinite(away)
     image, count = structure.ray_image[known], len(centres)
     return np.bincount(image, away[known], count) / np.maximum(np.bincount(image, minlength=count), 1)
+
+
+def _along(centres: Float[np.ndarray, "image 3"]) -> Bool[np.ndarray, " image"]:
+    """Whether the base from each image to the next one in the block goes along a strip: it has the direction of the
+    base before or after it, forward or back, and does not lead from one strip to another."""
+    base = np.diff(centres, axis=0)
+    base = base / np.maximum(np.linalg.norm(base, axis=1, keepdims=True), 1e-300)
+    alike = np.abs(np.sum(base[1:] * base[:-1], 1)) >= STRAIGHT
+    along = np.ones(len(centres), bool)
+    if len(base) > 1:
+        along[:-1] = np.append(alike, False) | np.insert(alike, 0, False)
+    return along
 
 
 def _straight(at: int, to: int, neighbours: list[list[int]], centres: Float[np.ndarray, "image 3"]) -> bool:
