@@ -58,6 +58,7 @@ if TYPE_CHECKING:
     from jaxbundle.geometry.similarity import Similarity
     from jaxbundle.independent.adjust_models import ModelAdjustment, adjust_models
     from jaxbundle.independent.adjust_strips import StripAdjustment, adjust_strips
+    from jaxbundle.independent.plan_height import PlanHeight, plan_height
     from jaxbundle.io import read, read_bal, read_block_folder, write_bal, write_block_folder
     from jaxbundle.planning.flight import AerialCamera
     from jaxbundle.planning.simulate import Simulation, simulate
@@ -132,6 +133,7 @@ _MODULES = {
     "geometry.similarity": ("Similarity",),
     "independent.adjust_models": ("ModelAdjustment", "adjust_models"),
     "independent.adjust_strips": ("StripAdjustment", "adjust_strips"),
+    "independent.plan_height": ("PlanHeight", "plan_height"),
     "io": ("read", "read_bal", "read_block_folder", "write_bal", "write_block_folder"),
     "planning.flight": ("AerialCamera",),
     "planning.simulate": ("Simulation", "simulate"),
@@ -198,6 +200,7 @@ __all__ = [
     "Options",
     "Outcome",
     "Parameter",
+    "PlanHeight",
     "PointRule",
     "Problem",
     "Progress",
@@ -243,6 +246,7 @@ __all__ = [
     "observation_group",
     "observations_of_kind",
     "parallax_rule",
+    "plan_height",
     "plausibility",
     "prepared",
     "read",
