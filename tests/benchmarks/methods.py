@@ -3,7 +3,7 @@
     python tests/benchmarks/methods.py [DRAWS]
 
 For each method: root mean square errors of the tie points that all methods determine, their standard deviations as
-reported (models and strips: by propagation of the errors of the image coordinates), and the scatter of errors over these.
+reported (models and strips: by propagation of the errors of the image coordinates), and the scatter over these.
 """
 
 import sys

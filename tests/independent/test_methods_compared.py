@@ -14,7 +14,7 @@ from jaxbundle.independent.sensors import factor_numbers
 from jaxbundle.independent.strip_block import curb_group, normalised, polynomial_block, polynomial_sensors
 
 pytestmark = [pytest.mark.thorough, pytest.mark.xdist_group("methods compared")]
-DRAWS = 12
+DRAWS = 8
 
 
 @pytest.fixture(scope="module")
