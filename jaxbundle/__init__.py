@@ -57,11 +57,14 @@ if TYPE_CHECKING:
     from jaxbundle.diagnosis.adjusted import findings
     from jaxbundle.diagnosis.before import plausibility, prepared
     from jaxbundle.geometry.similarity import Similarity
+    from jaxbundle.independent.adjust_models import ModelAdjustment, adjust_models
+    from jaxbundle.independent.adjust_strips import StripAdjustment, adjust_strips
+    from jaxbundle.independent.plan_height import PlanHeight, plan_height
     from jaxbundle.io import read, read_bal, read_block_folder, read_flight, write_bal, write_block_folder
     from jaxbundle.planning.flight import AerialCamera
     from jaxbundle.planning.predict import Prediction, predict
     from jaxbundle.planning.simulate import Simulation, simulate
-    from jaxbundle.report import report_dict, report_text, write_report
+    from jaxbundle.report import report_dict, report_text, write_method_report, write_report
     from jaxbundle.solve.adjust import Progress, adjust
     from jaxbundle.solve.adjustment import Adjustment, Status
     from jaxbundle.solve.batch import Batch, Outcome, adjust_many
@@ -131,10 +134,13 @@ _MODULES = {
     "diagnosis.before": ("plausibility", "prepared"),
     "geometry.similarity": ("Similarity",),
     "io": ("read", "read_bal", "read_block_folder", "read_flight", "write_bal", "write_block_folder"),
+    "independent.adjust_models": ("ModelAdjustment", "adjust_models"),
+    "independent.adjust_strips": ("StripAdjustment", "adjust_strips"),
+    "independent.plan_height": ("PlanHeight", "plan_height"),
     "planning.flight": ("AerialCamera",),
     "planning.predict": ("Prediction", "predict"),
     "planning.simulate": ("Simulation", "simulate"),
-    "report": ("report_dict", "report_text", "write_report"),
+    "report": ("report_dict", "report_text", "write_method_report", "write_report"),
     "solve.adjust": ("Progress", "adjust"),
     "solve.adjustment": ("Adjustment", "Status"),
     "solve.batch": ("Batch", "Outcome", "adjust_many"),
@@ -191,11 +197,13 @@ __all__ = [
     "Huber",
     "InnerOrientation",
     "InteriorOrientation",
+    "ModelAdjustment",
     "ObservationGroup",
     "ObservationKind",
     "Options",
     "Outcome",
     "Parameter",
+    "PlanHeight",
     "PointRule",
     "Prediction",
     "Problem",
@@ -209,6 +217,7 @@ __all__ = [
     "Simulation",
     "Snooping",
     "Status",
+    "StripAdjustment",
     "Structure",
     "Subset",
     "ThreePointResection",
@@ -217,6 +226,8 @@ __all__ = [
     "absolute_orientation",
     "adjust",
     "adjust_many",
+    "adjust_models",
+    "adjust_strips",
     "all_control",
     "camera_rays",
     "collinearity",
@@ -240,6 +251,7 @@ __all__ = [
     "observations_of_kind",
     "parallax_rule",
     "planning",
+    "plan_height",
     "plausibility",
     "predict",
     "prepared",
@@ -266,6 +278,7 @@ __all__ = [
     "with_interior_held",
     "write_bal",
     "write_block_folder",
+    "write_method_report",
     "write_report",
 ]
 

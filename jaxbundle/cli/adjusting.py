@@ -15,12 +15,15 @@ from jaxbundle.block.findings import Finding, Severity
 from jaxbundle.block.problems import BlockError
 from jaxbundle.cli.codes import BadInput, Code, LostProcess, told
 from jaxbundle.cli.interruption import Interruption
+from jaxbundle.cli.methods import Methods, adjusted_by, require_folder_for_block, started, write_block
 from jaxbundle.cli.progress import COMPILING, ProgressLines
 from jaxbundle.cli.runtime import finished
 from jaxbundle.diagnosis.adjusted import findings
 from jaxbundle.io import read
 from jaxbundle.numerics.devices import is_first_process
 from jaxbundle.report.files import require_place, rescue, write_report
+from jaxbundle.report.method_report import method_findings, require_place_of_method, write_method_report
+from jaxbundle.report.method_sections import MethodAdjustment
 from jaxbundle.report.text import wrapped
 from jaxbundle.solve.adjust import Progress, adjust
 from jaxbundle.solve.adjustment import Adjustment
@@ -39,6 +42,7 @@ class Wanted(NamedTuple):
     unknown: tuple[str, ...]
     checkpoint: Path | None
     hold_interior: bool
+    methods: Methods = Methods()
 
 
 class Outcome(NamedTuple):
@@ -50,6 +54,7 @@ class Outcome(NamedTuple):
     folder: Path | None
     code: Code
     problem: str = ""
+    result: MethodAdjustment | None = None  # of models or strips
 
 
 def run(path: Path, out: Path | None, wanted: Wanted, stop: Interruption) -> int:
@@ -74,9 +79,13 @@ def adjust_path(path: Path, folder: Path, wanted: Wanted, lines: ProgressLines, 
     with lines.phase("reading"):
         block = read(path)
     block = with_interior_held(block) if wanted.hold_interior else block
-    options = dataclasses.replace(wanted.options, stop=stopping_rule(block, wanted))
-    if is_first_process():
-        require_place(folder, block, options.robust is not None)  # before the work, not after it
+    options, methods = dataclasses.replace(wanted.options, stop=stopping_rule(block, wanted)), wanted.methods
+    if is_first_process():  # before the work, not after it
+        require_folder_for_block(methods)
+        if methods.method == "bundle":
+            require_place(folder, block, options.robust is not None)
+        else:
+            require_place_of_method(folder, block, methods.method)
     stop.check()
 
     def progress(iteration: Progress) -> None:
@@ -84,20 +93,28 @@ def adjust_path(path: Path, folder: Path, wanted: Wanted, lines: ProgressLines, 
         stop.step(iteration.accepted)
 
     with lines.phase(COMPILING):
-        adjustment = _adjusted(block, options, wanted.checkpoint, progress)
+        block, result = started(block, methods), None
+        if methods.method == "bundle":
+            adjustment = _adjusted(block, options, wanted.checkpoint, progress)
+        else:
+            result = adjusted_by(methods, block, options, progress)
+            adjustment = result.adjustment
     stop.finish()
     code = Code.ADJUSTED if adjustment.trustworthy else Code.NOT_TRUSTED
     with lines.phase("judging"):  # by all processes alike, since it may adjust again
-        outcome = _judged(Outcome(adjustment, adjustment.findings, folder, code), block)
+        outcome = _judged(Outcome(adjustment, adjustment.findings, folder, code, result=result), block)
     if not is_first_process():
         return outcome._replace(folder=None)
     with lines.phase("writing"):
+        write_block(methods, adjustment.block if result is None else result.block)
         return _written(outcome)
 
 
 def _judged(outcome: Outcome, block: Block) -> Outcome:
     """With all that is found; whatever goes wrong there, the adjustment itself is kept."""
     try:
+        if outcome.result is not None:
+            return outcome._replace(found=method_findings(outcome.result))
         return outcome._replace(found=findings(outcome.adjustment, block))
     except Exception as error:
         return outcome._replace(code=Code.UNEXPECTED, problem=told(error)[1])
@@ -107,7 +124,10 @@ def _written(outcome: Outcome) -> Outcome:
     """Writes the results; if they cannot be written to their folder, to a temporary one."""
     assert outcome.folder is not None
     try:
-        write_report(outcome.adjustment, outcome.folder, outcome.found)
+        if outcome.result is None:
+            write_report(outcome.adjustment, outcome.folder, outcome.found)
+        else:
+            write_method_report(outcome.result, outcome.folder, outcome.found)
         return outcome
     except OSError as error:
         code, problem = Code.NOT_WRITTEN, str(error)

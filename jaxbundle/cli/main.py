@@ -18,7 +18,7 @@ from jaxbundle.cli import codes, planning
 from jaxbundle.cli.cluster import Cluster, cluster_of
 from jaxbundle.cli.interruption import Interruption
 
-_SOLVER, _CLUSTER = "Solver", "Cluster"  # headings in the help
+_METHOD, _SOLVER, _CLUSTER = "Method", "Solver", "Cluster"  # headings in the help
 _HELP = {"help_option_names": ["-h", "--help"]}
 
 app = typer.Typer(
@@ -101,12 +101,38 @@ def adjust(
         typer.Option(help="File that keeps the state after every accepted iteration; if it exists, go on from it."),
     ] = None,
     method: Annotated[
-        Literal["levenberg-marquardt", "gauss-newton"],
+        Literal["bundle", "models", "strips", "levenberg-marquardt", "gauss-newton"],
         typer.Option(
-            help="levenberg-marquardt: damped steps, for any start; gauss-newton: full steps, for a good start.",
-            rich_help_panel=_SOLVER,
+            help="bundle: all rays at once; models: independent models of two images; strips: independent strips,"
+            " corrected by polynomials. levenberg-marquardt (damped steps, for any start) and gauss-newton (full steps,"
+            " for a good start) are the bundle, solved so.",
+            rich_help_panel=_METHOD,
         ),
-    ] = "levenberg-marquardt",
+    ] = "bundle",
+    start: Annotated[
+        Literal["models", "strips"] | None,
+        typer.Option(
+            help="Adjust by this method first and start from its results.",
+            show_default=False,
+            rich_help_panel=_METHOD,
+        ),
+    ] = None,
+    degree: Annotated[
+        int, typer.Option(min=2, max=3, help="Degree of the polynomials of strips.", rich_help_panel=_METHOD)
+    ] = 2,
+    form: Annotated[
+        Literal["separate", "plan-conformal", "conformal"],
+        typer.Option(help="Polynomials of strips: how X, Y and Z belong together.", rich_help_panel=_METHOD),
+    ] = "separate",
+    adjusted_block: Annotated[
+        Path | None,
+        typer.Option(
+            metavar="FOLDER",
+            help="Write the block with the adjusted values there: the start of another adjustment.",
+            show_default=False,
+            rich_help_panel=_METHOD,
+        ),
+    ] = None,
     stop: Annotated[
         Literal["angle", "points", "parallax", "unknown"],
         typer.Option(
@@ -179,19 +205,29 @@ def adjust(
         raise typer.BadParameter("--reduced pcg gives no standard deviations and needs --no-precision")
     if robust is not None and checkpoint is not None:
         raise typer.BadParameter("--robust solves many times and keeps no --checkpoint")
+    by_rays = method in ("bundle", "levenberg-marquardt", "gauss-newton")
+    if not by_rays and (checkpoint is not None or cluster is not None or stop in ("parallax", "unknown")):
+        raise typer.BadParameter(
+            f"--checkpoint, a cluster and --stop parallax or unknown belong to the bundle, not to --method {method}"
+        )
+    if form == "conformal" and degree != 2:
+        raise typer.BadParameter("--form conformal is of degree 2; other forms have degree 2 or 3")
+    if len(paths) > 1 and adjusted_block is not None:
+        raise typer.BadParameter("--adjusted-block is the folder of one block; adjust the blocks one by one")
     try:
         with Interruption() as interruption:
             adjusting = _loaded("adjusting", cluster)
             function = adjusting.weight_function(robust, robust_limit)
             options = adjusting.Options(
-                method=method,
+                method=method if method in adjusting.DAMPINGS else "levenberg-marquardt",
                 max_iterations=max_iterations,
                 precision=not no_precision,
                 engine=engine,
                 reduced=reduced,
                 robust=function,
             )
-            wanted = adjusting.Wanted(options, stop, limit, tuple(unknown or ()), checkpoint, hold_interior)
+            methods = adjusting.Methods("bundle" if by_rays else method, start, degree, form, adjusted_block)
+            wanted = adjusting.Wanted(options, stop, limit, tuple(unknown or ()), checkpoint, hold_interior, methods)
             if len(paths) == 1:
                 code = adjusting.run(paths[0], out, wanted, interruption)
             else:

@@ -44,15 +44,20 @@ SMALLEST = np.finfo(float).tiny
 
 def sections_of(figures: Figures) -> list[Callable[[], Section]]:
     """The sections in their order, each as a function that makes it."""
-    groups = [partial(_group, figures, table) for table in figures.tables if table.name != CONTROL.name]
     of = unknown_sections
     unknowns = of.images, of.inner_orientations, of.cameras, of.parameters, of.points
-    before = (_verdict, _adjustment, _observations, *unknowns, _control)
-    after = (of.check_points, _down_weighted, _rays, _reliability, _correlations)
-    return [*(partial(f, figures) for f in before), *groups, *(partial(f, figures) for f in after)]
+    before = verdict_section, adjustment_section, observations_section, *unknowns
+    after = of.check_points, _down_weighted, _rays, reliability_section, _correlations
+    return [*(partial(f, figures) for f in before), *group_sections(figures), *(partial(f, figures) for f in after)]
 
 
-def _verdict(figures: Figures) -> Section:
+def group_sections(figures: Figures) -> list[Callable[[], Section]]:
+    """Control first, then the other groups of observations."""
+    others = [table for table in figures.tables if table.name != CONTROL.name]
+    return [partial(_control, figures), *(partial(_group, figures, table) for table in others)]
+
+
+def verdict_section(figures: Figures) -> Section:
     """Whether the result can be used, then problems and suggestions."""
     adjustment = figures.adjustment
     verdict = fact(
@@ -79,7 +84,7 @@ def _entries_of(finding: Finding) -> dict:
     }
 
 
-def _adjustment(figures: Figures) -> Section:
+def adjustment_section(figures: Figures) -> Section:
     """Counts, sigma0 and how the adjustment ended."""
     adjustment, structure = figures.adjustment, figures.structure
     n, datum = adjustment.iterations, structure.datum
@@ -87,6 +92,8 @@ def _adjustment(figures: Figures) -> Section:
     free = structure.exterior_free, structure.interior_free, structure.parameter_free, structure.point_free
     exterior, interior, parameters, points = (int(mask.sum()) for mask in free)
     unknown = f"images {exterior}, cameras {interior}, "
+    if not structure.model.photographs:
+        unknown = f"sensors {exterior + interior}, "
     unknown += f"parameters {parameters}, " if structure.parameters else ""
     inner = 0 if datum.held else datum.constraints  # counts in the redundancy where all elements are unknown
     passed = "passed" if test.passed else "not passed"
@@ -129,9 +136,12 @@ def _robust(figures: Figures) -> list[Fact]:
 
 def _counts(figures: Figures) -> str:
     structure = figures.structure
+    model = structure.model
+    sensors = {f"sensors ({model.name})": len(structure.image_names)}
+    if model.photographs:
+        sensors = {"images": len(structure.image_names), "cameras": len(structure.cameras)}
     counts = {
-        "images": len(structure.image_names),
-        "cameras": len(structure.cameras),
+        **sensors,
         "object points": len(structure.point_names),
         "control points": int(figures.control_point.sum()),
         "check points": len(structure.check_point),
@@ -140,13 +150,14 @@ def _counts(figures: Figures) -> str:
     return ", ".join(f"{what} {count}" for what, count in counts.items())
 
 
-def _observations(figures: Figures) -> Section:
+def observations_section(figures: Figures) -> Section:
     """The groups of observations: number, root mean square of v / sigma, largest one."""
     of_control = figures.control_point[figures.structure.ray_point]
     rays = figures.normalised[0]
+    what = "image" if figures.structure.model.photographs else "measured"
     parts = [
-        ("image coordinates of control points", rays[of_control].ravel()),
-        ("image coordinates of tie points", rays[~of_control].ravel()),
+        (f"{what} coordinates of control points", rays[of_control].ravel()),
+        (f"{what} coordinates of tie points", rays[~of_control].ravel()),
         *((other.title, other.normalised[np.isfinite(other.residuals)]) for other in figures.tables),
     ]
     parts = [(name, v) for name, v in parts if v.size]
@@ -254,7 +265,7 @@ def _rays(figures: Figures) -> Section:
     return Section(f"Rays of the largest {size_name}", (ReportTable("rays", tuple(columns), worst),))
 
 
-def _reliability(figures: Figures) -> Section:
+def reliability_section(figures: Figures) -> Section:
     """By group: number, sum, mean and smallest of the redundancy numbers, uncontrolled ones, largest |w| and MDE."""
     adjustment, rows, names = figures.adjustment, [], []
     found = figures.reliability[:3] if figures.reliability and not adjustment.undetermined else ()

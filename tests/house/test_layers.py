@@ -23,6 +23,7 @@ LAYERS = {
     "planning": 7,
     "imagery": 7,
     "diagnosis": 8,
+    "independent": 8,
     "io": 9,
     "report": 10,
     "cli": 11,

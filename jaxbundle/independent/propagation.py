@@ -1,0 +1,98 @@
+"""Standard deviations by propagation from the image coordinates: what the weights of the method leave out.
+
+A ray of an image that two models share has one error in both, and all points of a model share the errors of its
+relative orientation. The weights know nothing of that, so N^-1 is too good. With the errors of all observations, in
+units of their weights, as functions dv = M u of independent errors u of the image coordinates and of what else is
+observed,
+
+    x - x_true = -N^-1 A^T dv,    Q = N^-1 A^T M M^T A N^-1,    sigma0^2 = v^T P v / tr((I - A N^-1 A^T) M M^T)
+
+(law of propagation of variances; sigma0 by the expectation of v^T P v). It takes the whole design matrix.
+"""
+
+from typing import NamedTuple
+
+import numpy as np
+import scipy.sparse as sp
+from jaxtyping import Float
+
+from jaxbundle.block.block import Block
+from jaxbundle.block.design import MAX_UNKNOWNS
+from jaxbundle.independent.formation import Models
+from jaxbundle.independent.joined import element_errors, point_errors
+from jaxbundle.independent.sensors import lower_triangles
+from jaxbundle.solve.adjustment import Adjustment
+from jaxbundle.statistics.dense import UnknownTables, dense_system
+
+
+class Propagated(NamedTuple):
+    """Precision by propagation, a posteriori."""
+
+    sigma0: float
+    """Of the image coordinates: the standard deviation of unit weight without the bias of the method's weights."""
+    standard_deviations: UnknownTables
+    """Of the unknowns; angles of the sensors in radians. NaN for what is held."""
+    ratio: float
+    """Root mean square of the standard deviations of object coordinates over those from N^-1."""
+
+
+def propagated(adjustment: Adjustment, errors: sp.csr_matrix) -> Propagated | None:
+    """The precision of an adjustment whose observations have the errors M, one row per residual: see `all_errors`.
+
+    None for a block with more unknowns than a dense design matrix takes, or without standard deviations.
+    """
+    structure = adjustment.block.structure
+    if structure.unknowns > MAX_UNKNOWNS or adjustment.cofactors is None or adjustment.undetermined:
+        return None
+    system = dense_system(adjustment)
+    covariance = sp.csr_matrix(errors @ errors.T)
+    explained = system.orthogonal.T @ (covariance @ system.orthogonal)
+    expected = float(covariance.diagonal().sum() - np.trace(explained))
+    sigma0 = float(np.sqrt(float(adjustment.vtpv) / expected)) if expected > 0 else np.nan
+    variances = np.einsum("uf,uf->u", system.inverse @ explained, system.inverse)
+    tables = system.unknown_tables(sigma0 * np.sqrt(np.maximum(variances, 0.0)))
+    before = np.asarray(adjustment.standard_deviations.object_points)
+    free = structure.point_free & (before > 0)
+    ratio = float(np.sqrt(np.mean((tables.object_points[free] / before[free]) ** 2))) if free.any() else np.nan
+    return Propagated(sigma0, tables, ratio)
+
+
+def all_errors(block: Block, of_rays: sp.csr_matrix, of_priors: sp.csr_matrix | None = None) -> sp.csr_matrix:
+    """M of all observations: of the rays as given, of groups independent, but of the last one as given if it is."""
+    masks = [group.structure.observed.ravel() for group in block.groups]
+    independent = np.concatenate([np.zeros(0, bool), *(masks if of_priors is None else masks[:-1])])
+    others = sp.identity(len(independent), format="csr").multiply(independent[:, None])
+    columns = sp.csr_matrix(others)[:, independent]
+    rays = of_rays if of_priors is None else sp.vstack([of_rays, of_priors])
+    both = sp.block_diag([rays, columns], format="csr")
+    seen = of_rays.shape[0]
+    if of_priors is None:
+        return both
+    return sp.vstack([both[:seen], both[rays.shape[0] :], both[seen : rays.shape[0]]], format="csr")
+
+
+def model_errors(models: Models, block: Block, rays: int, estimate_shared: bool) -> sp.csr_matrix:
+    """M of the block of models, by the errors of `rays` rays of photographs."""
+    factor = lower_triangles(np.asarray(block.rays.coordinates)[:, 3:9])
+    parts, priors, at = [], [], 0
+    for m in range(len(models)):
+        used = np.flatnonzero(models.used[m])
+        e = element_errors(models, m, rays)
+        points = point_errors(models, m, used, rays)
+        base = sp.csr_matrix(models.shared_base[m]) @ e
+        if estimate_shared:
+            points, base = points - sp.csr_matrix(models.shared[m, used].reshape(-1, 5)) @ e, 0 * base
+        whole = sp.vstack([points, sp.csr_matrix((3, 2 * rays)), base])
+        parts.append(-whitening(factor[at : at + len(used) + 2]) @ whole)
+        # the unknown is the correction, minus the error; the scale has no prior
+        priors.append(sp.vstack([sp.csr_matrix((1, 2 * rays)), -e]))
+        at += len(used) + 2
+    return all_errors(
+        block, sp.vstack(parts, format="csr"), sp.vstack(priors, format="csr") if estimate_shared else None
+    )
+
+
+def whitening(factor: Float[np.ndarray, "ray 3 3"]) -> sp.csr_matrix:
+    """The factors L^-1 as one block-diagonal matrix."""
+    count = len(factor)
+    return sp.csr_matrix(sp.bsr_matrix((factor, np.arange(count), np.arange(count + 1)), (3 * count, 3 * count)))
