@@ -56,7 +56,15 @@ if TYPE_CHECKING:
     from jaxbundle.diagnosis.adjusted import findings
     from jaxbundle.diagnosis.before import plausibility, prepared
     from jaxbundle.geometry.similarity import Similarity
-    from jaxbundle.io import read, read_bal, read_block_folder, write_bal, write_block_folder
+    from jaxbundle.io import (
+        Sources,
+        read,
+        read_bal,
+        read_block_folder,
+        write_bal,
+        write_block_folder,
+        write_format,
+    )
     from jaxbundle.planning.flight import AerialCamera
     from jaxbundle.planning.simulate import Simulation, simulate
     from jaxbundle.report import report_dict, report_text, write_report
@@ -128,7 +136,15 @@ _MODULES = {
     "diagnosis.adjusted": ("findings",),
     "diagnosis.before": ("plausibility", "prepared"),
     "geometry.similarity": ("Similarity",),
-    "io": ("read", "read_bal", "read_block_folder", "write_bal", "write_block_folder"),
+    "io": (
+        "Sources",
+        "read",
+        "read_bal",
+        "read_block_folder",
+        "write_bal",
+        "write_block_folder",
+        "write_format",
+    ),
     "planning.flight": ("AerialCamera",),
     "planning.simulate": ("Simulation", "simulate"),
     "report": ("report_dict", "report_text", "write_report"),
@@ -204,6 +220,7 @@ __all__ = [
     "Similarity",
     "Simulation",
     "Snooping",
+    "Sources",
     "Status",
     "Structure",
     "Subset",
@@ -259,6 +276,7 @@ __all__ = [
     "with_interior_held",
     "write_bal",
     "write_block_folder",
+    "write_format",
     "write_report",
 ]
 

@@ -18,7 +18,7 @@ from jaxbundle.cli.interruption import Interruption
 from jaxbundle.cli.progress import COMPILING, ProgressLines
 from jaxbundle.cli.runtime import finished
 from jaxbundle.diagnosis.adjusted import findings
-from jaxbundle.io import read
+from jaxbundle.io import Sources, read
 from jaxbundle.numerics.devices import is_first_process
 from jaxbundle.report.files import require_place, rescue, write_report
 from jaxbundle.report.text import wrapped
@@ -39,6 +39,7 @@ class Wanted(NamedTuple):
     unknown: tuple[str, ...]
     checkpoint: Path | None
     hold_interior: bool
+    sources: Sources = Sources()
 
 
 class Outcome(NamedTuple):
@@ -72,7 +73,7 @@ def adjust_path(path: Path, folder: Path, wanted: Wanted, lines: ProgressLines, 
     """
     stop.begin()
     with lines.phase("reading"):
-        block = read(path)
+        block = read(path, sources=wanted.sources)
     block = with_interior_held(block) if wanted.hold_interior else block
     options = dataclasses.replace(wanted.options, stop=stopping_rule(block, wanted))
     if is_first_process():

@@ -17,6 +17,7 @@ import typer
 from jaxbundle.cli import codes
 from jaxbundle.cli.cluster import Cluster, cluster_of
 from jaxbundle.cli.interruption import Interruption
+from jaxbundle.cli.told import Told
 
 _SOLVER, _CLUSTER = "Solver", "Cluster"  # headings in the help
 _HELP = {"help_option_names": ["-h", "--help"]}
@@ -28,8 +29,34 @@ app = typer.Typer(
     help="Photogrammetric bundle adjustment with derivatives through everything.",
 )
 
-Block = Annotated[Path, typer.Argument(metavar="PATH", help="A block folder or a BAL file.", show_default=False)]
-Blocks = Annotated[list[Path], typer.Argument(metavar="PATH", help="Block folders or BAL files.", show_default=False)]
+_A_BLOCK = "a block folder, a BAL file, or a project of another program, told apart by content"
+Block = Annotated[Path, typer.Argument(metavar="PATH", help=f"{_A_BLOCK.capitalize()}.", show_default=False)]
+Blocks = Annotated[list[Path], typer.Argument(metavar="PATH", help=f"Blocks: each {_A_BLOCK}.", show_default=False)]
+_SOURCES = "Projects of other programs"
+Form = Annotated[
+    str,
+    typer.Option(
+        "--format", help="The format of PATH, where its content fits several.", rich_help_panel=_SOURCES, metavar="NAME"
+    ),
+]
+Control = Annotated[
+    Path | None,
+    typer.Option(help="Control: gcp_list.txt, or a table point,X,Y,Z,sX,sY,sZ.", rich_help_panel=_SOURCES),
+]
+Stations = Annotated[Path | None, typer.Option(help="Observed projection centres: geo.txt.", rich_help_panel=_SOURCES)]
+Sigmas = Annotated[
+    str,
+    typer.Option(
+        metavar="PLAN,HEIGHT", help="Standard deviations of a table that has none, in m.", rich_help_panel=_SOURCES
+    ),
+]
+Size = Annotated[
+    str,
+    typer.Option(
+        metavar="W,H", help="True size of the images in px, of formats that do not have it.", rich_help_panel=_SOURCES
+    ),
+]
+Chunk = Annotated[str, typer.Option(help="Label of the chunk of a Metashape project.", rich_help_panel=_SOURCES)]
 Out = Annotated[
     Path | None,
     typer.Option(
@@ -156,6 +183,13 @@ def adjust(
         int | None,
         typer.Option(help="Number of this process, from 0 on.", show_default=False, rich_help_panel=_CLUSTER),
     ] = None,
+    form: Form = "",
+    control: Control = None,
+    stations: Stations = None,
+    control_sigma: Sigmas = "",
+    station_sigma: Sigmas = "",
+    image_size: Size = "",
+    chunk: Chunk = "",
 ) -> None:
     """Adjust blocks and write their reports and tables.
 
@@ -189,7 +223,9 @@ def adjust(
                 reduced=reduced,
                 robust=function,
             )
-            wanted = adjusting.Wanted(options, stop, limit, tuple(unknown or ()), checkpoint, hold_interior)
+            told = Told(form, control, stations, control_sigma, station_sigma, image_size, chunk)
+            sources = importlib.import_module("jaxbundle.cli.sources").sources_of(told)
+            wanted = adjusting.Wanted(options, stop, limit, tuple(unknown or ()), checkpoint, hold_interior, sources)
             if len(paths) == 1:
                 code = adjusting.run(paths[0], out, wanted, interruption)
             else:
@@ -218,7 +254,23 @@ def demo(
 @app.command()
 def convert(
     path: Block,
-    out: Annotated[Path, typer.Argument(help="A block folder, or a BAL file with suffix .txt.", show_default=False)],
+    out: Annotated[
+        Path,
+        typer.Argument(
+            help="A block folder, or a file whose suffix tells its form: .txt (BAL), .xml, .nvm, .out, .ply, .csv ...",
+            show_default=False,
+        ),
+    ],
+    to: Annotated[str, typer.Option(help="The format of OUT, where its name does not tell it.", metavar="NAME")] = "",
+    form: Form = "",
+    control: Control = None,
+    stations: Stations = None,
+    control_sigma: Sigmas = "",
+    station_sigma: Sigmas = "",
+    image_size: Size = "",
+    chunk: Chunk = "",
 ) -> None:
-    """Convert a block: BAL file or block folder to block folder or BAL file."""
-    _loaded("converting").run(path, out)
+    """Convert a block between the forms that are read and written, and say what the new form cannot hold."""
+    converting = _loaded("converting")
+    told = Told(form, control, stations, control_sigma, station_sigma, image_size, chunk)
+    converting.run(path, out, to, importlib.import_module("jaxbundle.cli.sources").sources_of(told))

@@ -1,0 +1,65 @@
+"""All foreign formats in one table: name, how the content tells them, how they are read and written."""
+
+from collections.abc import Callable
+from pathlib import Path
+from typing import NamedTuple
+
+from jaxbundle.block.block import Block
+from jaxbundle.block.given import require_a
+from jaxbundle.io.formats.colmap import is_colmap, read_colmap
+from jaxbundle.io.formats.colmap_writer import write_colmap
+from jaxbundle.io.formats.foreign_block import ForeignBlock, ReadOptions
+from jaxbundle.io.formats.opensfm import is_opensfm, read_opensfm
+from jaxbundle.io.formats.opensfm_writer import write_opensfm
+
+Reader = Callable[[Path, ReadOptions], ForeignBlock]
+Writer = Callable[[Block, Path], list[str]]
+
+
+class Format(NamedTuple):
+    """A format: its name on the command line and in words, whether a path has it, and its reader and writer."""
+
+    name: str
+    words: str
+    recognised: Callable[[Path], bool] | None
+    read: Reader | None
+    write: Writer | None
+    suffix: str = ""
+    """Of a file that `convert` writes in this form; "" for a folder."""
+
+
+def _colmap_text(block: Block, path: Path) -> list[str]:
+    return write_colmap(block, path, text=True)
+
+
+_FORMATS = (
+    Format("colmap", "a COLMAP model", is_colmap, read_colmap, write_colmap),
+    Format("colmap-text", "a COLMAP model as text", None, read_colmap, _colmap_text),
+    Format("opensfm", "an OpenSfM or OpenDroneMap project", is_opensfm, read_opensfm, write_opensfm),
+)
+FORMATS: dict[str, Format] = {form.name: form for form in _FORMATS}
+READ = tuple(form.name for form in _FORMATS if form.read)
+WRITTEN = tuple(form.name for form in _FORMATS if form.write)
+
+
+def recognised(path: Path) -> list[Format]:
+    """The formats that a path has, by its content."""
+    return [form for form in _FORMATS if form.recognised is not None and form.recognised(path)]
+
+
+def write_format(block: Block, path: str | Path, name: str) -> tuple[str, ...]:
+    """Writes a block in the format of another program, by its name in `FORMATS`.
+
+    Returns: what of the block has no place in the format, one sentence each.
+
+    Raises: ValueError for an unknown name.
+
+    Example:
+
+        >>> jb.write_format(result.block, "out", "colmap")
+    """
+    require_a(Block, block, "write_format")
+    form = FORMATS.get(name)
+    if form is None or form.write is None:
+        raise ValueError(f"format '{name}' is not written; known: {', '.join(WRITTEN)}")
+    return tuple(form.write(block, Path(path)))
