@@ -1,4 +1,4 @@
-"""What a path may mean: a block folder, its block.toml, a BAL file, or a known form that is not one of the read ones."""
+"""What a path may mean: a block folder, its block.toml, a BAL file, or a known form that is not read."""
 
 from pathlib import Path
 

@@ -3,7 +3,6 @@
 import numpy as np
 from jaxtyping import Bool, Float, Int
 
-from jaxbundle.approximate.intersection import intersect
 from jaxbundle.block.block import (
     Block,
     Camera,
@@ -22,7 +21,7 @@ from jaxbundle.block.observations import CONTROL, STATIONS, ObservationGroup, ob
 from jaxbundle.block.problems import BlockError, Problem
 from jaxbundle.geometry.rotation import OMEGA_PHI_KAPPA
 from jaxbundle.io.formats import rotations
-from jaxbundle.io.formats.control_system import in_control_system
+from jaxbundle.io.formats.control_system import at_control, in_control_system
 from jaxbundle.io.formats.decided import decided
 from jaxbundle.io.formats.foreign_block import ForeignBlock, ForeignCamera, Known, element
 from jaxbundle.io.formats.selection import usable
@@ -36,14 +35,14 @@ SYSTEMATIC = 9  # parameters of an observed attitude, all 0 and held
 def assembled(foreign: ForeignBlock) -> Block:
     """The block: the reading that fits, what can take part, in the system of the control.
 
-    Points without coordinates are intersected. What is assumed and found stands in the findings.
+    What is assumed and found stands in the findings.
 
     Raises: BlockError where no reading fits, or nothing remains.
     """
     foreign = usable(decided(_named_once(foreign)))
     _require_numbers(foreign)
-    block = intersect(_block(foreign))
-    block = in_control_system(block, foreign)
+    block = _block(foreign)
+    block = at_control(in_control_system(block, foreign), foreign)
     missing = np.isnan(on_host(block.object_points)).any(1)
     if missing.any():
         names = [foreign.points.names[k] for k in np.flatnonzero(missing)]
@@ -176,19 +175,17 @@ def _interior(
 
 
 def _with_control(foreign: ForeignBlock) -> tuple[Float[np.ndarray, "point 3"], Bool[np.ndarray, "point 3"]]:
-    """Coordinates of the points, and which of them control fixes.
+    """Coordinates of the points, and which of them control fixes at its values.
 
-    A control point without coordinates of its own has those of the control, unless the rays are in another system.
+    A point that its rays do not give has the coordinates of the control.
     """
     coordinates, held = foreign.points.coordinates.copy(), np.zeros((len(foreign.points.names), 3), bool)
     position = {name: k for k, name in enumerate(foreign.points.names)}
     for row in foreign.control:
         k, known = position[row.name], np.array(row.coordinates)
-        if not foreign.arbitrary and np.isfinite(known).all() and np.isnan(coordinates[k]).any():
-            coordinates[k] = known
-        fixed = np.isfinite(known) & (np.array(row.sigmas) == 0) & (not row.check)
-        held[k] = fixed
-        coordinates[k][fixed] = known[fixed]
+        if np.isnan(coordinates[k]).any():
+            coordinates[k] = np.where(np.isfinite(known), known, coordinates[k])
+        held[k] = np.isfinite(known) & (np.array(row.sigmas) == 0) & (not row.check)
     return coordinates, held
 
 

@@ -75,11 +75,22 @@ def _uncentred(fit: Similarity, model: Float[np.ndarray, "3"], known: Float[np.n
 
 
 def _transformed(block: Block, fit: Similarity) -> Block:
-    """Projection centres, attitudes and free coordinates of points under a similarity."""
-    s = block.structure
+    """Projection centres, attitudes and points under a similarity."""
     turn = on_host(fit.rotation)
     matrices = turn @ rotations.from_angles(on_host(block.exterior.angles))
     exterior = ExteriorOrientation(fit(block.exterior.projection_centre), on_device(rotations.to_angles(matrices)))
-    points = np.where(s.point_free, on_host(fit(block.object_points)), on_host(block.object_points))
     block = dataclasses.replace(block, exterior=exterior)
+    return eqx.tree_at(lambda b: b.object_points, block, fit(block.object_points))
+
+
+def at_control(block: Block, foreign: ForeignBlock) -> Block:
+    """The block with the coordinates that control fixes at their values."""
+    held = ~block.structure.point_free
+    if not held.any():
+        return block
+    points = np.array(on_host(block.object_points))
+    position = {name: k for k, name in enumerate(block.structure.point_names)}
+    for row in foreign.control:
+        k = position[row.name]
+        points[k] = np.where(held[k], row.coordinates, points[k])
     return eqx.tree_at(lambda b: b.object_points, block, on_device(points))

@@ -39,6 +39,16 @@ def is_geographic(text: str) -> bool:
     return bool(crs_of(text).is_geographic)
 
 
+def is_geocentric(text: str) -> bool:
+    """Whether coordinates of a system are geocentric X, Y, Z."""
+    return text.strip().upper().startswith(("GEOCCS", "GEODCRS")) or text.strip() == "EPSG:4978"
+
+
+def is_metric_local(text: str) -> bool:
+    """Whether a system is a local one, which no transformation relates to the earth."""
+    return text.strip().upper().startswith(("LOCAL_CS", "ENGCRS", "ENGINEERINGCRS", "LOCAL")) or not text.strip()
+
+
 def crs_of(text: str) -> Any:
     """A pyproj CRS of a text.
 

@@ -1,6 +1,6 @@
 """Control, stations and attitudes from tables beside a block.
 
-    gcp_list.txt     line 1: coordinate system; then x y z u v image [name ...]      u, v from the centre of the first pixel
+    gcp_list.txt     line 1: coordinate system; then x y z u v image [name]      u, v from the centre of the first pixel
     geo.txt          line 1: coordinate system; then image x y [z [yaw pitch roll [sigma_horizontal sigma_vertical]]]
     control.csv      point,X,Y,Z,sX,sY,sZ[,role] with a header, as in a block folder; no image coordinates
 

@@ -2,8 +2,10 @@
 
     v = computed - observed at the file's own values, no adjustment
 
-A reading is judged by the root mean square of |v|, of which no ray counts more than the width of its image; a point
-behind the camera counts as much. So one wild ray decides nothing, and a reading that puts all points behind is the worst.
+Tie rays are held against the points of the file, or against their intersection where it has none; rays of control points
+against the known coordinates. A reading is judged by the root mean square of |v|, of which no ray counts more than the
+width of its image; a point behind the camera counts as much. So one wild ray decides nothing, and a reading that puts all
+points behind is the worst.
 """
 
 from typing import NamedTuple
@@ -29,6 +31,16 @@ class Misfit(NamedTuple):
     behind: int
 
 
+NONE = Misfit(0, np.nan, np.nan, np.nan, 0)
+
+
+class Misfits(NamedTuple):
+    """Misfits of the tie rays, and of the rays of control points against the control."""
+
+    tie: Misfit
+    control: Misfit
+
+
 def ray_residuals(
     foreign: ForeignBlock, points: Float[np.ndarray, "point 3"] | None = None
 ) -> tuple[Float[np.ndarray, "ray 2"], Bool[np.ndarray, " ray"]]:
@@ -40,28 +52,49 @@ def ray_residuals(
     points = foreign.points.coordinates if points is None else points
     v, behind = np.full((len(rays.image), 2), np.nan), np.zeros(len(rays.image), bool)
     camera = images.camera[rays.image] if len(rays.image) else np.zeros(0, np.int64)
-    origin = np.nan_to_num(images.centre).mean(0) if len(images.centre) else np.zeros(3)
+    origin = origin_of(foreign)
     with np.errstate(all="ignore"):
-        for model, own in _cameras_by_model(foreign).items():
+        for model, own in cameras_by_model(foreign).items():
             some = np.flatnonzero(np.isin(camera, own))
-            values = np.array([[element(foreign.cameras[k], name) for name in model.elements] for k in own])
-            row = np.searchsorted(own, camera[some])
-            rotation = images.rotation[rays.image[some]].reshape(-1, 9).T
-            centre, point = images.centre[rays.image[some]] - origin, points[rays.point[some]] - origin
-            vector = photo_vector(tuple(rotation), tuple(centre.T), tuple(point.T))
-            residual = model.residual(tuple(values[row].T), vector, tuple(rays.xy[some].T))
+            vector = photo_vectors(foreign, some, points, origin)
+            values = interior_of(foreign, model, camera[some])
+            residual = model.residual(tuple(values), vector, tuple(rays.xy[some].T))
             v[some] = np.stack(np.broadcast_arrays(*residual), -1)
             behind[some] = np.asarray(vector[2] >= 0)
     return v, behind
 
 
-def _cameras_by_model(foreign: ForeignBlock) -> dict[CameraModel, Int[np.ndarray, " camera"]]:
+def origin_of(foreign: ForeignBlock) -> Float[np.ndarray, "3"]:
+    """The mean of the projection centres that are known: large coordinates lose digits."""
+    known = foreign.images.centre[np.isfinite(foreign.images.centre).all(1)]
+    return known.mean(0) if len(known) else np.zeros(3)
+
+
+def photo_vectors(
+    foreign: ForeignBlock, rays: Int[np.ndarray, " ray"], points: Float[np.ndarray, "point 3"], origin: np.ndarray
+) -> tuple[Float[np.ndarray, " ray"], ...]:
+    """p = R^T (X - X0) of some rays."""
+    images, image, point = foreign.images, foreign.rays.image[rays], foreign.rays.point[rays]
+    rotation = images.rotation[image].reshape(-1, 9).T
+    return photo_vector(tuple(rotation), tuple((images.centre[image] - origin).T), tuple((points[point] - origin).T))
+
+
+def interior_of(
+    foreign: ForeignBlock, model: CameraModel, cameras: Int[np.ndarray, " ray"]
+) -> Float[np.ndarray, "element ray"]:
+    """Interior elements of a model for the camera of each ray."""
+    table = np.array([[element(camera, name) for name in model.elements] for camera in foreign.cameras], float)
+    return table[cameras].T
+
+
+def cameras_by_model(foreign: ForeignBlock) -> dict[CameraModel, Int[np.ndarray, " camera"]]:
+    """Numbers of the cameras of each model."""
     models = dict.fromkeys(camera.model for camera in foreign.cameras)
     return {m: np.array([k for k, camera in enumerate(foreign.cameras) if camera.model is m]) for m in models}
 
 
 def widths(foreign: ForeignBlock) -> Float[np.ndarray, " camera"]:
-    """Widths of the images of each camera in the unit of its rays; of a format that is not given, that of the rays."""
+    """Longer sides of the images of each camera, unit of its rays; of a format that is not given, that of the rays."""
     found = np.ones(len(foreign.cameras))
     camera = foreign.images.camera[foreign.rays.image] if len(foreign.rays.image) else np.zeros(0, np.int64)
     for k, one in enumerate(foreign.cameras):
@@ -73,14 +106,34 @@ def widths(foreign: ForeignBlock) -> Float[np.ndarray, " camera"]:
     return found
 
 
-def misfit(foreign: ForeignBlock) -> Misfit:
+def is_control(foreign: ForeignBlock) -> Bool[np.ndarray, " point"]:
+    """Which points are control points or check points."""
+    names = {row.name for row in foreign.control}
+    return np.array([name in names for name in foreign.points.names], bool)
+
+
+def misfits(foreign: ForeignBlock) -> Misfits:
     """What the rays say of this reading of a file."""
-    v, behind = ray_residuals(foreign)
-    rays, images, points = foreign.rays, foreign.images, foreign.points.coordinates
-    known = np.isfinite(images.rotation).all((1, 2))[rays.image] & np.isfinite(images.centre).all(1)[rays.image]
-    known &= np.isfinite(points).all(1)[rays.point]
+    control = is_control(foreign)
+    known = np.full(foreign.points.coordinates.shape, np.nan)
+    position = {name: k for k, name in enumerate(foreign.points.names)}
+    for row in foreign.control:
+        if row.name in position:
+            known[position[row.name]] = row.coordinates
+    of_control = control[foreign.rays.point] if len(foreign.rays.point) else np.zeros(0, bool)
+    tie = _misfit(foreign, foreign.points.coordinates, ~of_control)
+    return Misfits(tie, NONE if foreign.arbitrary else _misfit(foreign, known, of_control))
+
+
+def _misfit(foreign: ForeignBlock, points: Float[np.ndarray, "point 3"], wanted: Bool[np.ndarray, " ray"]) -> Misfit:
+    if not wanted.any():
+        return NONE
+    rays, images = foreign.rays, foreign.images
+    known = wanted & np.isfinite(images.rotation).all((1, 2))[rays.image] & np.isfinite(points).all(1)[rays.point]
+    known &= np.isfinite(images.centre).all(1)[rays.image]
     if not known.any():
-        return Misfit(0, np.nan, np.nan, np.nan, 0)
+        return NONE
+    v, behind = ray_residuals(foreign, points)
     width = widths(foreign)[images.camera[rays.image[known]]]
     with np.errstate(all="ignore"):
         size = np.hypot(*v[known].T)

@@ -6,9 +6,13 @@ from typing import NamedTuple
 
 from jaxbundle.block.block import Block
 from jaxbundle.block.given import require_a
+from jaxbundle.io.formats.blocks_exchange import is_blocks_exchange, read_blocks_exchange, write_blocks_exchange
+from jaxbundle.io.formats.bundler import is_bundler, read_bundler, write_bundler
 from jaxbundle.io.formats.colmap import is_colmap, read_colmap
 from jaxbundle.io.formats.colmap_writer import write_colmap
 from jaxbundle.io.formats.foreign_block import ForeignBlock, ReadOptions
+from jaxbundle.io.formats.metashape import is_metashape, read_metashape
+from jaxbundle.io.formats.nvm import is_nvm, read_nvm, write_nvm
 from jaxbundle.io.formats.opensfm import is_opensfm, read_opensfm
 from jaxbundle.io.formats.opensfm_writer import write_opensfm
 
@@ -36,6 +40,17 @@ _FORMATS = (
     Format("colmap", "a COLMAP model", is_colmap, read_colmap, write_colmap),
     Format("colmap-text", "a COLMAP model as text", None, read_colmap, _colmap_text),
     Format("opensfm", "an OpenSfM or OpenDroneMap project", is_opensfm, read_opensfm, write_opensfm),
+    Format("metashape", "a Metashape project", is_metashape, read_metashape, None),
+    Format(
+        "blocksexchange",
+        "a BlocksExchange file",
+        is_blocks_exchange,
+        read_blocks_exchange,
+        write_blocks_exchange,
+        ".xml",
+    ),
+    Format("bundler", "a Bundler file", is_bundler, read_bundler, write_bundler, ".out"),
+    Format("nvm", "an NVM file", is_nvm, read_nvm, write_nvm, ".nvm"),
 )
 FORMATS: dict[str, Format] = {form.name: form for form in _FORMATS}
 READ = tuple(form.name for form in _FORMATS if form.read)

@@ -2,8 +2,8 @@
 
     D = diag(1, -1, -1)        R_jb = R^T D,  X0 = -R^T t        back: R = D R_jb^T,  t = -R X0
 
-where (R, t) lead from the object system into a camera of computer vision (x right, y down, z forward). Sizes are padded,
-so that blocks of all sizes share few compiled programs.
+where (R, t) lead from the object system into a camera of computer vision (x right, y down, z forward). Sizes are
+padded, so that blocks of all sizes share few compiled programs.
 """
 
 from collections.abc import Callable

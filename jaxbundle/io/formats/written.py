@@ -1,7 +1,7 @@
 """A block as writers of foreign formats take it: cameras in px with v down, names, and what has no place there.
 
-A camera that a format can hold is written exactly. For any other the corrected measurement is written with a camera free
-of distortion, u' = computed without distortion - v, so that every residual of the block as it stands is the same:
+A camera that a format can hold is written exactly. For any other the corrected measurement is written with a camera
+free of distortion, u' = computed without distortion - v, so that every residual of the block as it stands is the same:
 
     none             f = c / s
     brown-forward    f = c / s, K1 c^2, K2 c^4, K3 c^6, P1 c, -P2 c      coefficients of c = 1, v down
