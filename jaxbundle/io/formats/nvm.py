@@ -35,7 +35,7 @@ from jaxbundle.io.formats.foreign_block import (
     element,
 )
 from jaxbundle.io.formats.source import lines_of, numbers, wrong
-from jaxbundle.io.formats.written import in_pixels, losses_of_block
+from jaxbundle.io.formats.written import in_pixels, is_free, losses_of_block
 from jaxbundle.io.noted import Noted
 from jaxbundle.io.text import UnreadableError, file_bytes
 
@@ -184,7 +184,7 @@ def write_nvm(block: Block, path: Path) -> list[str]:
 
     Returns: what has no place there.
     """
-    written = in_pixels(block, _free)
+    written = in_pixels(block, is_free)
     foreign = written.foreign
     images, rays = foreign.images, foreign.rays
     turned, _ = rotations.to_camera(images.rotation, images.centre)
@@ -206,12 +206,6 @@ def write_nvm(block: Block, path: Path) -> list[str]:
     path.write_text("\n".join([*lines, "", "0", ""]), encoding="utf-8")
     losses = ["the principal points: image coordinates are written from them", "names of points"]
     return [*written.losses, *losses, *losses_of_block(block, frozenset())]
-
-
-def _free(camera: ForeignCamera) -> bool:
-    """Whether a camera has no distortion."""
-    others = set(camera.model.elements) - {"principal_distance", "x0", "y0", "y_axis"}
-    return camera.model is METASHAPE and not any(element(camera, name) for name in others)
 
 
 def _row(values) -> str:

@@ -6,15 +6,18 @@ from typing import NamedTuple
 
 from jaxbundle.block.block import Block
 from jaxbundle.block.given import require_a
+from jaxbundle.io.formats.bingo import is_bingo, read_bingo, write_bingo
 from jaxbundle.io.formats.blocks_exchange import is_blocks_exchange, read_blocks_exchange, write_blocks_exchange
 from jaxbundle.io.formats.bundler import is_bundler, read_bundler, write_bundler
 from jaxbundle.io.formats.colmap import is_colmap, read_colmap
 from jaxbundle.io.formats.colmap_writer import write_colmap
 from jaxbundle.io.formats.foreign_block import ForeignBlock, ReadOptions
+from jaxbundle.io.formats.inpho import is_inpho, read_inpho
 from jaxbundle.io.formats.metashape import is_metashape, read_metashape
 from jaxbundle.io.formats.nvm import is_nvm, read_nvm, write_nvm
 from jaxbundle.io.formats.opensfm import is_opensfm, read_opensfm
 from jaxbundle.io.formats.opensfm_writer import write_opensfm
+from jaxbundle.io.formats.patb import is_patb, read_patb, write_patb
 
 Reader = Callable[[Path, ReadOptions], ForeignBlock]
 Writer = Callable[[Block, Path], list[str]]
@@ -51,6 +54,9 @@ _FORMATS = (
     ),
     Format("bundler", "a Bundler file", is_bundler, read_bundler, write_bundler, ".out"),
     Format("nvm", "an NVM file", is_nvm, read_nvm, write_nvm, ".nvm"),
+    Format("bingo", "a BINGO project", is_bingo, read_bingo, write_bingo),
+    Format("patb", "a PATB project", is_patb, read_patb, write_patb),
+    Format("inpho", "an Inpho project", is_inpho, read_inpho, None),
 )
 FORMATS: dict[str, Format] = {form.name: form for form in _FORMATS}
 READ = tuple(form.name for form in _FORMATS if form.read)

@@ -222,6 +222,12 @@ def _corrected(
     return free, computed * [1, -1] - v * [scale, -scale]
 
 
+def is_free(camera: ForeignCamera) -> bool:
+    """Whether a camera of `LENSES` has no distortion."""
+    others = set(camera.model.elements) - {"principal_distance", "x0", "y0", "y_axis"}
+    return camera.model is METASHAPE and not any(element(camera, name) for name in others)
+
+
 def losses_of_block(block: Block, holds: frozenset[str]) -> list[str]:
     """What of a block has no place in a format; `holds`: tables that have one, and "sigmas"."""
     s, losses = block.structure, []
