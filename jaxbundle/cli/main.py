@@ -56,6 +56,18 @@ Size = Annotated[
         metavar="W,H", help="True size of the images in px, of formats that do not have it.", rich_help_panel=_SOURCES
     ),
 ]
+Interior = Annotated[
+    str,
+    typer.Option(
+        metavar="F,X0,Y0", help="Interior orientation in px, of formats that do not have it.", rich_help_panel=_SOURCES
+    ),
+]
+PixelSize = Annotated[
+    float | None,
+    typer.Option(
+        metavar="MM", help="Size of a pixel, of image coordinates in mm without one.", rich_help_panel=_SOURCES
+    ),
+]
 Chunk = Annotated[str, typer.Option(help="Label of the chunk of a Metashape project.", rich_help_panel=_SOURCES)]
 Out = Annotated[
     Path | None,
@@ -190,6 +202,8 @@ def adjust(
     station_sigma: Sigmas = "",
     image_size: Size = "",
     chunk: Chunk = "",
+    interior: Interior = "",
+    pixel_size: PixelSize = None,
 ) -> None:
     """Adjust blocks and write their reports and tables.
 
@@ -223,7 +237,7 @@ def adjust(
                 reduced=reduced,
                 robust=function,
             )
-            told = Told(form, control, stations, control_sigma, station_sigma, image_size, chunk)
+            told = Told(form, control, stations, control_sigma, station_sigma, image_size, chunk, interior, pixel_size)
             sources = importlib.import_module("jaxbundle.cli.sources").sources_of(told)
             wanted = adjusting.Wanted(options, stop, limit, tuple(unknown or ()), checkpoint, hold_interior, sources)
             if len(paths) == 1:
@@ -269,8 +283,10 @@ def convert(
     station_sigma: Sigmas = "",
     image_size: Size = "",
     chunk: Chunk = "",
+    interior: Interior = "",
+    pixel_size: PixelSize = None,
 ) -> None:
     """Convert a block between the forms that are read and written, and say what the new form cannot hold."""
     converting = _loaded("converting")
-    told = Told(form, control, stations, control_sigma, station_sigma, image_size, chunk)
+    told = Told(form, control, stations, control_sigma, station_sigma, image_size, chunk, interior, pixel_size)
     converting.run(path, out, to, importlib.import_module("jaxbundle.cli.sources").sources_of(told))

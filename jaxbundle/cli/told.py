@@ -14,3 +14,5 @@ class Told(NamedTuple):
     station_sigma: str = ""
     image_size: str = ""
     chunk: str = ""
+    interior: str = ""
+    pixel_size: float | None = None

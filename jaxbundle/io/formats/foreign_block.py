@@ -122,6 +122,10 @@ class ReadOptions(NamedTuple):
 
     image_size: tuple[int, int] | None = None
     """Width and height of the images in px, of formats that have none or have that of reduced images."""
+    interior: tuple[float, float, float] | None = None
+    """Principal distance and principal point in px, of formats without an interior orientation."""
+    pixel_size: float | None = None
+    """mm per px, of formats whose image coordinates are in mm without one."""
     chunk: str = ""
     """Label of the chunk to be read of a Metashape project with several."""
 

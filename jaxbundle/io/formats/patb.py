@@ -9,6 +9,7 @@ Columns of .ori are fixed and may touch. Whether the matrix is object_from_image
 image coordinates, the rays decide. Source: PCI Geomatica, OrthoEngine, "PAT-B exterior orientation".
 """
 
+import dataclasses
 from pathlib import Path
 
 import numpy as np
@@ -34,6 +35,7 @@ from jaxbundle.io.noted import Noted
 
 WIDTH = 16  # characters of a number of .ori
 MICROMETRES = 1e-3  # mm
+LONGEST = 2000.0  # mm: a principal distance that is larger is in micrometres
 
 
 def _files(path: Path) -> list[Path]:
@@ -67,10 +69,11 @@ def read_patb(path: Path, options: ReadOptions = DEFAULT) -> ForeignBlock:
         raise noted.error()
     names = [f"{c:.12g}" for c in sorted(set(cameras.values()))] or ["0"]
     found.camera = {photo: f"{c:.12g}" for photo, c in cameras.items()}
+    unit = MICROMETRES if max(cameras.values(), default=0.0) > LONGEST else 1.0
     foreign = ForeignBlock(
         format="PATB project",
         name=files[0].stem,
-        cameras=tuple(mm_camera(f"camera {name}", float(name) * MICROMETRES) for name in names),
+        cameras=tuple(mm_camera(f"camera {name}", float(name) * unit) for name in names),
         images=found.images_with(names, lambda rows: np.full((len(rows), 3, 3), np.nan)),
         points=found.points_found(),
         rays=found.ray_table(),
@@ -79,29 +82,15 @@ def read_patb(path: Path, options: ReadOptions = DEFAULT) -> ForeignBlock:
         assumptions=(IN_MM, CONTROL) if found.control else (IN_MM,),
         reading="with the matrix as object from image",
     )
-    foreign = scaled(foreign, MICROMETRES)
-    return _with_alternatives(foreign)
-
-
-def _with_alternatives(foreign: ForeignBlock) -> ForeignBlock:
-    def in_mm_of(one: ForeignBlock) -> ForeignBlock:
-        cameras = tuple(mm_camera(c.name, element(c, "principal_distance") / MICROMETRES) for c in one.cameras)
-        return _replaced(scaled(one, 1 / MICROMETRES), cameras)
-
-    return _replaced(
-        foreign,
-        foreign.cameras,
-        (
+    other = 1 / MICROMETRES if unit == MICROMETRES else MICROMETRES
+    return dataclasses.replace(
+        scaled(foreign, unit),
+        alternatives=(
             Alternative("with the matrix as image from object", transposed),
-            Alternative("with the matrix as object from image, in mm", in_mm_of),
-            Alternative("with the matrix as image from object, in mm", lambda one: in_mm_of(transposed(one))),
+            Alternative("with image coordinates in another unit than c", lambda one: scaled(one, other)),
+            Alternative("with both", lambda one: scaled(transposed(one), other)),
         ),
     )
-
-
-def _replaced(foreign: ForeignBlock, cameras, alternatives: tuple[Alternative, ...] = ()) -> ForeignBlock:
-    fields = {**foreign.__dict__, "cameras": cameras, "alternatives": alternatives}
-    return ForeignBlock(**fields)
 
 
 def _image_points(path: Path, found: Collected, noted: Noted) -> dict[str, float]:

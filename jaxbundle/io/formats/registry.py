@@ -11,13 +11,17 @@ from jaxbundle.io.formats.blocks_exchange import is_blocks_exchange, read_blocks
 from jaxbundle.io.formats.bundler import is_bundler, read_bundler, write_bundler
 from jaxbundle.io.formats.colmap import is_colmap, read_colmap
 from jaxbundle.io.formats.colmap_writer import write_colmap
+from jaxbundle.io.formats.exterior import write_exterior
 from jaxbundle.io.formats.foreign_block import ForeignBlock, ReadOptions
 from jaxbundle.io.formats.inpho import is_inpho, read_inpho
 from jaxbundle.io.formats.metashape import is_metashape, read_metashape
+from jaxbundle.io.formats.micmac import is_micmac, read_micmac, write_micmac
 from jaxbundle.io.formats.nvm import is_nvm, read_nvm, write_nvm
 from jaxbundle.io.formats.opensfm import is_opensfm, read_opensfm
 from jaxbundle.io.formats.opensfm_writer import write_opensfm
+from jaxbundle.io.formats.opf import is_opf, read_opf
 from jaxbundle.io.formats.patb import is_patb, read_patb, write_patb
+from jaxbundle.io.formats.pix4d import is_pix4d, read_pix4d
 
 Reader = Callable[[Path, ReadOptions], ForeignBlock]
 Writer = Callable[[Block, Path], list[str]]
@@ -57,6 +61,10 @@ _FORMATS = (
     Format("bingo", "a BINGO project", is_bingo, read_bingo, write_bingo),
     Format("patb", "a PATB project", is_patb, read_patb, write_patb),
     Format("inpho", "an Inpho project", is_inpho, read_inpho, None),
+    Format("micmac", "a MicMac project", is_micmac, read_micmac, write_micmac),
+    Format("opf", "an OPF project", is_opf, read_opf, None),
+    Format("pix4d", "a params folder of Pix4D", is_pix4d, read_pix4d, None),
+    Format("exterior", "a table of exterior elements", None, None, write_exterior, ".csv"),
 )
 FORMATS: dict[str, Format] = {form.name: form for form in _FORMATS}
 READ = tuple(form.name for form in _FORMATS if form.read)
