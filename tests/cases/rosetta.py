@@ -1,4 +1,4 @@
-"""The Strasbourg block of DBAT as ten programs would write it: 5 images, 1166 tie points, 4019 rays, 16 control points."""
+"""The Strasbourg block of DBAT as ten programs write it: 5 images, 1166 tie points, 4019 rays, 16 control points."""
 
 import shutil
 from pathlib import Path

@@ -3,8 +3,9 @@
     R = E R_z(yaw) R_y(pitch) R_x(roll) B D,    E = [[0,1,0],[1,0,0],[0,0,-1]],  B = [[0,0,1],[1,0,0],[0,1,0]]
 
 from the axes of a camera on a gimbal (yaw clockwise from north, pitch 0 is level and -90 looks down), E from
-north-east-down to east-north-up, B from the camera of computer vision, D = diag(1, -1, -1). In a grid the meridian convergence is
-subtracted from the yaw. OpenDroneMap and Metashape count pitch from the nadir: pitch of the gimbal = pitch - 90.
+north-east-down to east-north-up, B from the camera of computer vision, D = diag(1, -1, -1). In a grid the meridian
+convergence is subtracted from the yaw. OpenDroneMap and Metashape count pitch from the nadir: pitch of the gimbal =
+pitch - 90.
 """
 
 import numpy as np

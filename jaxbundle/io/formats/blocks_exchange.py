@@ -351,7 +351,7 @@ def _control(row: Known, rays: str) -> str:
     place = np.nan_to_num(row.coordinates)
     horizontal, vertical = np.nan_to_num([row.sigmas[0], row.sigmas[2]])
     return (
-        f"<ControlPoint><Name>{escape(row.name)}</Name><Category>{category}</Category>{_place('Position', place)}{check}"
-        f"<HorizontalAccuracy>{horizontal:.17g}</HorizontalAccuracy><VerticalAccuracy>{vertical:.17g}</VerticalAccuracy>"
-        f"{rays}</ControlPoint>\n"
+        f"<ControlPoint><Name>{escape(row.name)}</Name><Category>{category}</Category>{_place('Position', place)}"
+        f"{check}<HorizontalAccuracy>{horizontal:.17g}</HorizontalAccuracy>"
+        f"<VerticalAccuracy>{vertical:.17g}</VerticalAccuracy>{rays}</ControlPoint>\n"
     )

@@ -16,7 +16,6 @@ from jaxtyping import Float
 
 from jaxbundle.block.block import Block
 from jaxbundle.camera.forward import BAL, METASHAPE
-from jaxbundle.io.formats import rotations
 from jaxbundle.io.formats.foreign_block import (
     DEFAULT,
     ForeignBlock,

@@ -23,7 +23,7 @@ class Collected:
         self.images: dict[str, int] = {}
         self.points: dict[str, int] = {}
         self.camera: dict[str, str] = {}
-        self.orientation: dict[str, tuple[Float[np.ndarray, "3"], Float[np.ndarray, "3"]]] = {}
+        self.orientation: dict[str, tuple[Float[np.ndarray, 3], Float[np.ndarray, 3]]] = {}
         self.matrix: dict[str, Float[np.ndarray, "3 3"]] = {}
         self.coordinates: dict[str, tuple[float, float, float]] = {}
         self.control: dict[str, Known] = {}

@@ -1,4 +1,4 @@
-"""The table of exterior elements: image, X, Y, Z, omega, phi, kappa in degrees, camera; its coordinate system beside it.
+"""The table of exterior elements: image, X, Y, Z, omega, phi, kappa in degrees, camera; the system beside it.
 
 Programs that make orthophotos read it (orthority, Pix4D, MicMac's OriConvert, Metashape). The angles are those of
 R = R_x(omega) R_y(phi) R_z(kappa), object_from_image.

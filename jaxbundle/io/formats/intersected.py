@@ -1,4 +1,4 @@
-"""Points that a file does not give, from its rays and orientations: closest to the rays, then least squares in the image.
+"""Points that a file does not give, from rays and orientations: closest to the rays, then least squares in the image.
 
 Gauss-Newton steps take the derivatives of the projection without distortion, which converge to the same minimum.
 """

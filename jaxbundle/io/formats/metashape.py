@@ -4,13 +4,12 @@
     u = W/2 + cx + f x' + b1 x' + b2 y'       the camera model `metashape`; cx, cy from the image centre
 
 Old files have fx, fy, skew and absolute cx, cy. With a geographic or projected reference the chunk transform leads to
-geocentric coordinates, which are kept; control is brought there. Tie points are read from .psz (point_cloud of PLY files).
-Source: Agisoft Metashape user manual, appendix "Camera models"; the elements as projects of versions 1.2 to 1.5 have them.
+geocentric coordinates, which are kept; control is brought there. Tie points are read from .psz (point_cloud of PLY
+files). Source: Agisoft Metashape user manual, appendix "Camera models"; the elements as projects of versions 1.2 to
+1.5 have them.
 """
 
-import io
 import math
-import zipfile
 from pathlib import Path
 from typing import NamedTuple
 from xml.etree import ElementTree
@@ -19,7 +18,7 @@ import numpy as np
 from jaxtyping import Float
 
 from jaxbundle.block.findings import Finding, Kind, Severity
-from jaxbundle.block.problems import BlockError, Problem, shown
+from jaxbundle.block.problems import shown
 from jaxbundle.camera.forward import METASHAPE
 from jaxbundle.camera.lenses import FISHEYE
 from jaxbundle.io.formats import rotations
@@ -35,8 +34,9 @@ from jaxbundle.io.formats.foreign_block import (
     RayTable,
     ReadOptions,
 )
+from jaxbundle.io.formats.metashape_archive import Archive
 from jaxbundle.io.formats.ply import ply_vertices
-from jaxbundle.io.formats.source import XmlNumbers, child_text, tree_of, wrong
+from jaxbundle.io.formats.source import XmlNumbers, child_text, wrong
 from jaxbundle.io.noted import Noted
 from jaxbundle.io.text import UnreadableError, file_bytes
 
@@ -48,76 +48,6 @@ SETTINGS = {
     "accuracy_scalebars": 0.001,
 }
 HEAD = 3000  # bytes that hold the root and a chunk
-MAX_MEMBER = 2**31  # bytes of one file in an archive
-
-
-class _Archive:
-    """The files of a project: a folder, or zip archives one within another."""
-
-    def __init__(self, path: Path):
-        self.path = path
-        self.parts: dict[str, bytes] = {}
-        files = path.with_suffix(".files")
-        if path.is_dir():
-            self.folder: Path | None = path
-        elif path.suffix.lower() == ".psx":
-            self.folder = None
-            for archive in sorted(files.glob("*/chunk.zip")) + sorted(files.glob("*/*/frame.zip")):
-                prefix = "" if archive.name == "chunk.zip" else "frame/"
-                for name, data in _members(archive).items():
-                    self.parts.setdefault(prefix + name, data)
-        elif _starts(path, b"PK"):
-            self.folder, self.parts = None, _members(path)
-        else:
-            self.folder = path.parent
-
-    def read(self, name: str) -> bytes | None:
-        if self.folder is not None:
-            try:
-                return file_bytes(self.folder / name)
-            except UnreadableError:
-                return None
-        return self.parts.get(name)
-
-    def document(self) -> ElementTree.Element:
-        data = self.read("doc.xml")
-        if self.path.is_file() and not self.parts and self.folder is not None:
-            data = file_bytes(self.path)
-        if data is None:
-            raise wrong(
-                self.path, 0, "the project has no doc.xml", "give the .psz, or the .psx beside its .files folder"
-            )
-        root = tree_of(self.path, data)
-        frame = self.read("frame/doc.xml")
-        if frame is not None and root.find(".//frame") is None:
-            chunk = root if root.tag == "chunk" else root.find(".//chunk")
-            if chunk is not None:
-                chunk.append(tree_of(self.path, frame))
-        return root
-
-
-def _starts(path: Path, begin: bytes) -> bool:
-    try:
-        return file_bytes(path, len(begin)) == begin
-    except UnreadableError:
-        return False
-
-
-def _members(path: Path) -> dict[str, bytes]:
-    """Files of a zip archive. Raises: BlockError for one that is damaged."""
-    try:
-        with zipfile.ZipFile(io.BytesIO(file_bytes(path))) as archive:
-            large = [one.filename for one in archive.infolist() if one.file_size > MAX_MEMBER]
-            if large:
-                raise wrong(path, 0, f"{large[0]} in the archive is larger than {MAX_MEMBER} bytes", "unpack it")
-            wanted = [one for one in archive.namelist() if one.endswith((".xml", ".ply"))]
-            return {name: archive.read(name) for name in wanted}
-    except (zipfile.BadZipFile, NotImplementedError, RuntimeError, EOFError, ValueError, OSError) as error:
-        if isinstance(error, BlockError):
-            raise
-        raise wrong(path, 0, f"the archive is damaged: {shown(str(error))}", "take it from its source again") from error
-    except UnreadableError as error:
-        raise wrong(path, 0, error.what, error.cure) from error
 
 
 def is_metashape(path: Path) -> bool:
@@ -153,7 +83,7 @@ def read_metashape(path: Path, options: ReadOptions = DEFAULT) -> ForeignBlock:
 
     Raises: BlockError with all that is wrong.
     """
-    archive = _Archive(path)
+    archive = Archive(path)
     root = archive.document()
     chunk, findings = _chunk(path, root, options.chunk)
     reader = _Reader(path, archive, chunk)
@@ -176,7 +106,7 @@ def _chunk(path: Path, root: ElementTree.Element, label: str) -> tuple[ElementTr
 class _Reader:
     """One chunk."""
 
-    def __init__(self, path: Path, archive: _Archive, chunk: ElementTree.Element):
+    def __init__(self, path: Path, archive: Archive, chunk: ElementTree.Element):
         self.path, self.archive, self.chunk, self.noted = path, archive, chunk, Noted()
         self.numbers = XmlNumbers(path, self.noted)
         self.settings = dict(SETTINGS)

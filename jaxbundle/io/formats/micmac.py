@@ -6,9 +6,9 @@
     Mesure-Appuis.xml        MesureAppuiFlottant1Im: NameIm; OneMesureAF1I: NamePt, PtIm
     Homol*/Pastis*/*.txt     pairs of homologous points, x1 y1 x2 y2
 
-X_c = L^T (X - Centre), q = PP + F (X_c / Z_c, Y_c / Z_c), image = CDist + (q - CDist)(1 + a1 r^2 + a2 r^4 + ...): the camera
-model `metashape` with K_i = a_i F^2i where CDist is PP. R_jb = L D. Scanned film has mm, y down; OrIntImaM2C brings them to
-the pixels of the scan. Source: MicMac documentation, "Geometric formats and conventions" (IGN).
+X_c = L^T (X - Centre), q = PP + F (X_c / Z_c, Y_c / Z_c), image = CDist + (q - CDist)(1 + a1 r^2 + a2 r^4 + ...): the
+camera model `metashape` with K_i = a_i F^2i where CDist is PP. R_jb = L D. Scanned film has mm, y down; OrIntImaM2C
+brings them to the pixels of the scan. Source: MicMac documentation, "Geometric formats and conventions" (IGN).
 """
 
 from pathlib import Path
@@ -26,7 +26,7 @@ from jaxbundle.camera.forward import METASHAPE
 from jaxbundle.io.formats import rotations
 from jaxbundle.io.formats.collected import IN_PX, Collected
 from jaxbundle.io.formats.foreign_block import DEFAULT, ForeignBlock, ForeignCamera, Known, ReadOptions, element
-from jaxbundle.io.formats.source import AGAIN, XmlNumbers, child_text, local, lines_of, numbers, tree_of
+from jaxbundle.io.formats.source import AGAIN, XmlNumbers, child_text, lines_of, local, numbers, tree_of
 from jaxbundle.io.formats.written import in_pixels, losses_of_block
 from jaxbundle.io.noted import Noted
 
@@ -332,7 +332,8 @@ def _calibration(camera: ForeignCamera) -> str:
 def _oriented(centre: Float[np.ndarray, "3"], matrix: Float[np.ndarray, "3 3"], file: str) -> str:
     rows = "".join(f"<L{k + 1}>{_numbers(matrix[k])}</L{k + 1}>" for k in range(3))
     return (
-        "<?xml version='1.0' ?>\n<ExportAPERO><OrientationConique><OrIntImaM2C><I00>0 0</I00><V10>1 0</V10><V01>0 1</V01>"
+        "<?xml version='1.0' ?>\n<ExportAPERO><OrientationConique>"
+        "<OrIntImaM2C><I00>0 0</I00><V10>1 0</V10><V01>0 1</V01>"
         f"</OrIntImaM2C><TypeProj>eProjStenope</TypeProj><FileInterne>{escape(file)}</FileInterne>"
         "<RelativeNameFI>false</RelativeNameFI><Externe><KnownConv>eConvApero_DistM2C</KnownConv>"
         f"<Centre>{_numbers(centre)}</Centre><ParamRotation><CodageMatr>{rows}</CodageMatr></ParamRotation></Externe>"

@@ -2,10 +2,10 @@
 
     v = computed - observed at the file's own values, no adjustment
 
-Tie rays are held against the points of the file, or against their intersection where it has none; rays of control points
-against the known coordinates. A reading is judged by the root mean square of |v|, of which no ray counts more than the
-width of its image; a point behind the camera counts as much. So one wild ray decides nothing, and a reading that puts all
-points behind is the worst.
+Tie rays are held against the points of the file, or against their intersection where it has none; rays of control
+points against the known coordinates. A reading is judged by the root mean square of |v|, of which no ray counts more
+than the width of its image; a point behind the camera counts as much. So one wild ray decides nothing, and a reading
+that puts all points behind is the worst.
 """
 
 from typing import NamedTuple

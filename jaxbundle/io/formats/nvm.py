@@ -4,10 +4,10 @@
     n, then n times    name f qw qx qy qz Cx Cy Cz d 0
     m, then m times    X Y Z r g b rays (image feature x y) ...
 
-Quaternions are image from object, C is the projection centre. There are two dialects: VisualSFM counts image coordinates
-from the image centre, and d corrects the measurement, (1 + d r^2 / f^2) m; COLMAP writes coordinates from the corner and d
-= -k of a distortion of the projection. Any negative coordinate tells the first; the rays decide on d.
-Source: Changchang Wu, VisualSFM, "NVM file format"; COLMAP, src/colmap/scene/reconstruction_io.cc.
+Quaternions are image from object, C is the projection centre. There are two dialects: VisualSFM counts image
+coordinates from the image centre, and d corrects the measurement, (1 + d r^2 / f^2) m; COLMAP writes coordinates from
+the corner and d = -k of a distortion of the projection. Any negative coordinate tells the first; the rays decide on
+d. Source: Changchang Wu, VisualSFM, "NVM file format"; COLMAP, src/colmap/scene/reconstruction_io.cc.
 """
 
 import dataclasses

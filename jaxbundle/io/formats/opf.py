@@ -1,8 +1,9 @@
 """OPF projects of Pix4D: JSON files and the tracks as glTF. Its conventions are those of this package.
 
-Angles are omega, phi, kappa of object_from_image, image coordinates count from the corner; radial and tangential terms as
-OpenCV has them: P1 = t2, P2 = t1. The processing frame is canonical = swap(scale base) + shift; the block is read in the
-base system, by shift and scale. Tracks are turned to y up in glTF and turned back. Source: Pix4D, OPF specification 1.0.
+Angles are omega, phi, kappa of object_from_image, image coordinates count from the corner; radial and tangential
+terms as OpenCV has them: P1 = t2, P2 = t1. The processing frame is canonical = swap(scale base) + shift; the block is
+read in the base system, by shift and scale. Tracks are turned to y up in glTF and turned back. Source: Pix4D, OPF
+specification 1.0.
 """
 
 from pathlib import Path

@@ -1,7 +1,7 @@
 """PLY files: vertices read from binary or text, points and cameras written in double precision.
 
-Written is binary_little_endian: x, y, z double, red, green, blue uchar, and of an adjustment sX, sY, sZ float and rays int.
-Many viewers read coordinates as float: a shift keeps their digits.
+Written is binary_little_endian: x, y, z double, red, green, blue uchar, and of an adjustment sX, sY, sZ float and
+rays int. Many viewers read coordinates as float: a shift keeps their digits.
 """
 
 from pathlib import Path
