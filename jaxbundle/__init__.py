@@ -58,6 +58,7 @@ if TYPE_CHECKING:
     from jaxbundle.geometry.similarity import Similarity
     from jaxbundle.io import (
         Sources,
+        export,
         read,
         read_bal,
         read_block_folder,
@@ -138,6 +139,7 @@ _MODULES = {
     "geometry.similarity": ("Similarity",),
     "io": (
         "Sources",
+        "export",
         "read",
         "read_bal",
         "read_block_folder",
@@ -241,6 +243,7 @@ __all__ = [
     "curvature_coefficient",
     "datum_defect",
     "error_ellipses",
+    "export",
     "error_ellipsoids",
     "findings",
     "geodetic_kind",

@@ -4,8 +4,9 @@ from pathlib import Path
 
 import typer
 
-from jaxbundle.io import Sources, read, write_bal, write_block_folder, write_format
+from jaxbundle.io import Sources, export, read, write_bal, write_block_folder, write_format
 from jaxbundle.io.formats.registry import FORMATS, WRITTEN
+from jaxbundle.io.results.export import EXPORTS
 
 BAL, FOLDER = "bal", "block-folder"
 BAL_SUFFIX = ".txt"
@@ -19,12 +20,15 @@ def run(path: Path, out: Path, to: str, sources: Sources) -> None:
     if out.exists():
         raise FileExistsError(f"{out} exists; give another name")
     form = to or _form_of(out)
+    shown = not to and out.suffix.lower() in EXPORTS
     if form not in (BAL, FOLDER, *WRITTEN):
         raise typer.BadParameter(f"--to {form} is unknown; known: {', '.join((BAL, FOLDER, *WRITTEN))}")
     block = read(path, sources=sources)
     for finding in block.structure.findings:
         typer.echo(f"{finding.severity.label}: {finding.words}")
-    if form == BAL:
+    if shown:
+        export(block, out)
+    elif form == BAL:
         write_bal(block, out)
     elif form == FOLDER:
         write_block_folder(block, out)

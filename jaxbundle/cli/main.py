@@ -43,7 +43,10 @@ Control = Annotated[
     Path | None,
     typer.Option(help="Control: gcp_list.txt, or a table point,X,Y,Z,sX,sY,sZ.", rich_help_panel=_SOURCES),
 ]
-Stations = Annotated[Path | None, typer.Option(help="Observed projection centres: geo.txt.", rich_help_panel=_SOURCES)]
+Stations = Annotated[
+    Path | None,
+    typer.Option(help="Observed projection centres: geo.txt, or a folder with photographs.", rich_help_panel=_SOURCES),
+]
 Sigmas = Annotated[
     str,
     typer.Option(
@@ -119,6 +122,16 @@ def adjust(
     paths: Blocks,
     out: Out = None,
     jobs: Annotated[int, typer.Option(min=1, help="Processes that share several blocks and the cores.")] = 1,
+    show: Annotated[
+        list[Path] | None,
+        typer.Option(
+            "--export",
+            metavar="FILE",
+            help="Points, images, residual vectors and error ellipses for other programs: .ply, .las, .laz, .geojson,"
+            " .gpkg, .kml or .dxf; may be repeated.",
+            show_default=False,
+        ),
+    ] = None,
     hold_interior: Annotated[bool, typer.Option("--hold-interior", help="Hold the interior of all cameras.")] = False,
     no_precision: Annotated[bool, typer.Option("--no-precision", help="No standard deviations.")] = False,
     robust: Annotated[
@@ -221,6 +234,8 @@ def adjust(
     cluster = cluster_of(coordinator, processes, process)
     if len(paths) > 1 and (checkpoint is not None or cluster is not None):
         raise typer.BadParameter("a --checkpoint and a cluster belong to one block; adjust the blocks one by one")
+    if show and len(paths) > 1:
+        raise typer.BadParameter("--export belongs to one block; adjust the blocks one by one")
     if reduced == "pcg" and not no_precision:
         raise typer.BadParameter("--reduced pcg gives no standard deviations and needs --no-precision")
     if robust is not None and checkpoint is not None:
@@ -239,7 +254,9 @@ def adjust(
             )
             told = Told(form, control, stations, control_sigma, station_sigma, image_size, chunk, interior, pixel_size)
             sources = importlib.import_module("jaxbundle.cli.sources").sources_of(told)
-            wanted = adjusting.Wanted(options, stop, limit, tuple(unknown or ()), checkpoint, hold_interior, sources)
+            wanted = adjusting.Wanted(
+                options, stop, limit, tuple(unknown or ()), checkpoint, hold_interior, sources, tuple(show or ())
+            )
             if len(paths) == 1:
                 code = adjusting.run(paths[0], out, wanted, interruption)
             else:

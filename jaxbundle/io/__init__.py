@@ -1,6 +1,7 @@
 """Blocks in files: `read_x(path) -> Block` and `write_x(block, path)` for every format; `read` tells them apart.
 
-The formats of other programs are in `formats`; `write_format` writes them by name.
+The formats of other programs are in `formats`; `write_format` writes them by name. `export` writes what maps, clouds
+and drawings show of results, by the modules of `results`.
 """
 
 from jaxbundle.io.bal import read_bal, write_bal
@@ -9,5 +10,15 @@ from jaxbundle.io.block_folder_writer import write_block_folder
 from jaxbundle.io.formats.registry import write_format
 from jaxbundle.io.formats.sources import Sources
 from jaxbundle.io.read import read
+from jaxbundle.io.results.export import export
 
-__all__ = ["Sources", "read", "read_bal", "read_block_folder", "write_bal", "write_block_folder", "write_format"]
+__all__ = [
+    "Sources",
+    "export",
+    "read",
+    "read_bal",
+    "read_block_folder",
+    "write_bal",
+    "write_block_folder",
+    "write_format",
+]

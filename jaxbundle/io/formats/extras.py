@@ -11,7 +11,6 @@ EXTRAS = {
     "ezdxf": "gis",
     "laspy": "las",
     "lazrs": "las",
-    "pyopf": "opf",
     "exifread": "photos",
 }
 

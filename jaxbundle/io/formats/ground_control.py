@@ -49,8 +49,7 @@ def read_control(path: Path, sigma: tuple[float, float] | None = None) -> Ground
     lines = lines_of(path)
     first = next((line for line in lines if line.strip()), "")
     noted = Noted()
-    fields = [field.strip().lower() for field in _split(first)]
-    if "point" in fields and "x" in fields:
+    if {"point", "x", "y"} <= set(_columns(first)):
         found = _table(path, lines, noted, sigma)
     else:
         found = _gcp_list(path, lines, noted, sigma)
@@ -64,6 +63,13 @@ def read_control(path: Path, sigma: tuple[float, float] | None = None) -> Ground
 def _split(line: str) -> list[str]:
     separator = next((mark for mark in (",", ";", "\t") if mark in line), " ")
     return next(csv.reader(io.StringIO(line), delimiter=separator, skipinitialspace=True), [])
+
+
+def _columns(line: str) -> list[str]:
+    """The columns of a header by the names here, from those of Metashape as well: #Label, X/Easting, Y/Northing."""
+    fields = [field.strip().lower().lstrip("#").strip() for field in _split(line)]
+    names = {"label": "point", "name": "point", "id": "point", "easting": "x", "northing": "y", "altitude": "z"}
+    return [names.get(field, field.partition("/")[0] if field[:2] in ("x/", "y/", "z/") else field) for field in fields]
 
 
 def _gcp_list(path: Path, lines: list[str], noted: Noted, sigma: tuple[float, float] | None) -> GroundControl:
@@ -151,7 +157,7 @@ def _table(path: Path, lines: list[str], noted: Noted, sigma: tuple[float, float
             continue
         fields = [field.strip() for field in _split(line)]
         if not header:
-            header = [field.lower() for field in fields]
+            header = _columns(line)
             continue
         row = dict(zip(header, fields, strict=False))
         values = []

@@ -20,6 +20,7 @@ from jaxbundle.io.formats.nvm import is_nvm, read_nvm, write_nvm
 from jaxbundle.io.formats.opensfm import is_opensfm, read_opensfm
 from jaxbundle.io.formats.opensfm_writer import write_opensfm
 from jaxbundle.io.formats.opf import is_opf, read_opf
+from jaxbundle.io.formats.opf_writer import write_opf
 from jaxbundle.io.formats.patb import is_patb, read_patb, write_patb
 from jaxbundle.io.formats.pix4d import is_pix4d, read_pix4d
 
@@ -62,7 +63,7 @@ _FORMATS = (
     Format("patb", "a PATB project", is_patb, read_patb, write_patb),
     Format("inpho", "an Inpho project", is_inpho, read_inpho, None),
     Format("micmac", "a MicMac project", is_micmac, read_micmac, write_micmac),
-    Format("opf", "an OPF project", is_opf, read_opf, None),
+    Format("opf", "an OPF project", is_opf, read_opf, write_opf),
     Format("pix4d", "a params folder of Pix4D", is_pix4d, read_pix4d, None),
     Format("exterior", "a table of exterior elements", None, None, write_exterior, ".csv"),
 )

@@ -7,7 +7,8 @@ from jaxbundle.block.block import Block
 from jaxbundle.io.formats.assembled import assembled
 from jaxbundle.io.formats.coordinates import metric
 from jaxbundle.io.formats.foreign_block import ReadOptions
-from jaxbundle.io.formats.ground_control import read_control, read_positions, with_control, with_stations
+from jaxbundle.io.formats.ground_control import Positions, read_control, read_positions, with_control, with_stations
+from jaxbundle.io.formats.photographs import positions_of_photographs
 from jaxbundle.io.formats.registry import Format
 
 
@@ -20,7 +21,7 @@ class Sources:
     control: Path | None = None
     """gcp_list.txt, or a table with point, X, Y, Z and sigmas."""
     stations: Path | None = None
-    """geo.txt: observed projection centres."""
+    """Observed projection centres: geo.txt, or a folder with photographs that tell their positions."""
     control_sigma: tuple[float, float] | None = None
     station_sigma: tuple[float, float] | None = None
     options: ReadOptions = ReadOptions()
@@ -34,10 +35,18 @@ def read_sources(path: Path, form: Format, sources: Sources) -> Block:
     assert form.read is not None
     foreign = form.read(path, sources.options)
     control = read_control(sources.control, sources.control_sigma) if sources.control else None
-    positions = read_positions(sources.stations, sources.station_sigma) if sources.stations else None
+    positions = _positions(sources)
     control, positions = metric(control, positions)
     if control is not None:
         foreign = with_control(foreign, control)
     if positions is not None:
         foreign = with_stations(foreign, positions)
     return assembled(foreign)
+
+
+def _positions(sources: Sources) -> Positions | None:
+    if sources.stations is None:
+        return None
+    if sources.stations.is_dir():
+        return positions_of_photographs(sources.stations)
+    return read_positions(sources.stations, sources.station_sigma)
