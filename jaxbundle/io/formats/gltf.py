@@ -35,7 +35,8 @@ def read_tracks(path: Path, images: dict[int, int]) -> Tracks | None:
     try:
         primitives = [one for mesh in content["meshes"] for one in mesh["primitives"]]
         found = next((one for one in primitives if EXTENSION in one.get("extensions", {})), None)
-        return None if found is None else _tracks(path, content, found, images)
+        with np.errstate(all="ignore"):  # what is not a number is told below
+            return None if found is None else _tracks(path, content, found, images)
     except (KeyError, IndexError, TypeError, AttributeError, ValueError, OverflowError) as error:
         if isinstance(error, ValueError) and hasattr(error, "problems"):
             raise

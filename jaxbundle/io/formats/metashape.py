@@ -133,7 +133,8 @@ class _Reader:
         """The block. Raises: BlockError with all that was noted."""
         cameras, number_of_sensor = self._sensors()
         ids, images = self._cameras(number_of_sensor)
-        ties, coordinates, rays = self._tie_points(ids)
+        with np.errstate(all="ignore"):  # what is not a number is told there
+            ties, coordinates, rays = self._tie_points(ids)
         control, marks = self._markers(ids, len(ties))
         names = [*ties, *(name for name in marks.names)]
         coordinates = np.concatenate([coordinates, np.full((len(marks.names), 3), np.nan)])

@@ -235,7 +235,8 @@ def losses_of_block(block: Block, holds: frozenset[str]) -> list[str]:
         if group.structure.kind.table not in holds:
             losses.append(f"{counted(len(group.structure.indices), 'row')} of {group.structure.kind.table}")
     if "control" not in holds and not s.point_free.all():
-        losses.append(f"that {counted(int((~s.point_free.all(1)).sum()), 'control point')} are held")
+        held = int((~s.point_free.all(1)).sum())
+        losses.append(f"that {counted(held, 'control point')} {'is' if held == 1 else 'are'} held")
     if "control" not in holds and len(s.check_point):
         losses.append(f"{counted(len(s.check_point), 'check point')}")
     if "sigmas" not in holds and np.ptp(on_host(block.rays.sigmas)) > 0:
