@@ -30,6 +30,7 @@ from jaxbundle.io.formats.foreign_block import (
 from jaxbundle.io.noted import Noted
 
 FILES = ("cameras", "images", "points3D")
+SPARSE = 4  # numbers of points per point and ray: beyond, a table of all numbers would be mostly empty
 SAME_POSE = 1e-6  # of quaternions and, relative to the largest, of translations: rounding of text with few digits
 
 
@@ -102,16 +103,27 @@ class _Rays(NamedTuple):
 
 def _rays(model: Model) -> _Rays:
     """Rays to the points that exist."""
-    order = np.argsort(model.point_ids, kind="stable")
-    place = np.searchsorted(model.point_ids, model.ray_point, sorter=order)
-    place = order[np.minimum(place, max(len(order) - 1, 0))] if len(order) else np.zeros(len(place), np.int64)
-    known = model.point_ids[place] == model.ray_point if len(order) else np.zeros(len(place), bool)
+    place = _places(model.point_ids, model.ray_point)
+    known = place >= 0
     image, point, xy = model.ray_image[known], place[known], model.xy[known]
     findings = ()
     if not known.all():
         what = f"{int((~known).sum())} image points name a point that is not in points3D and take no part"
         findings = (Finding(Kind.UNUSED, what),)
     return _Rays(RayTable(image, point, xy), findings)
+
+
+def _places(ids: Int[np.ndarray, " point"], wanted: Int[np.ndarray, " ray"]) -> Int[np.ndarray, " ray"]:
+    """Places of numbers among others, -1 where there is none; by a table, unless the numbers are sparse."""
+    if not len(ids):
+        return np.full(len(wanted), -1)
+    if ids.max() < SPARSE * (len(ids) + len(wanted)):
+        table = np.full(ids.max() + 2, -1)
+        table[ids] = np.arange(len(ids))
+        return table[np.minimum(wanted, ids.max() + 1)]
+    order = np.argsort(ids, kind="stable")
+    place = order[np.minimum(np.searchsorted(ids, wanted, sorter=order), len(ids) - 1)]
+    return np.where(ids[place] == wanted, place, -1)
 
 
 def _poses(
