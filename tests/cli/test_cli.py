@@ -14,7 +14,7 @@ import numpy as np
 import pytest
 from cases.simulated_blocks import small_block
 
-from jaxbundle.cli import adjusting, codes, demo, main, runtime
+from jaxbundle.cli import adjusting, codes, demo, runtime
 from jaxbundle.cli.interruption import Interruption
 from jaxbundle.cli.progress import HEADER, ProgressLines
 from jaxbundle.io import read, write_block_folder
@@ -37,21 +37,6 @@ def folder(tmp_path_factory):
 def adjustment(folder):
     """Its adjustment."""
     return adjust(read(folder))
-
-
-@pytest.fixture
-def run(tmp_path, monkeypatch, capsys):
-    """Runs a command line in an empty folder; exit code, standard output, standard error."""
-    monkeypatch.chdir(tmp_path)
-    monkeypatch.setattr(runtime, "start", lambda cluster=None: None)  # it sets JAX up for the whole process
-
-    def call(*arguments: object) -> tuple[int, str, str]:
-        monkeypatch.setattr(sys, "argv", ["jaxbundle", *map(str, arguments)])
-        with pytest.raises(SystemExit) as ended:
-            main.main()
-        return int(ended.value.code or 0), *capsys.readouterr()
-
-    return call
 
 
 def test_version_and_help(run):
@@ -333,23 +318,6 @@ def test_convert(run, folder, tmp_path, shared_data):
     bal = shared_data / "bal" / "ladybug-49-shrink-1800.txt"
     assert run("convert", bal, "folder")[0] == run("convert", "folder", "again.txt")[0] == 0
     assert read(tmp_path / "again.txt").structure.point_names == read(bal).structure.point_names
-
-
-def test_blocks_of_other_programs(run, tmp_path, shared_data):
-    """Read by content, with a table beside it; written by name or suffix, and what is lost is said."""
-    rig = shared_data / "exchange" / "colmap" / "rig2_synthetic" / "bin"
-    code, out, _ = run("convert", rig, "block")
-    assert code == 0 and "misfit at the file's own values: 480 tie rays: 0.5046 px rms" in out
-    code, out, _ = run("convert", "block", "again", "--to", "colmap-text")
-    assert code == 0 and out.endswith("Block bin: again\n") and (tmp_path / "again" / "cameras.txt").is_file()
-    assert run("convert", "again", "b.xml", "--format", "colmap")[0] == 0
-    assert (tmp_path / "b.xml").read_text(encoding="utf-8").count("<TiePoint>") == 60
-    assert run("convert", rig, "points.ply")[0] == 0 and (tmp_path / "points.ply").is_file()
-    assert run("convert", rig, "x", "--to", "word")[0] == 2
-    assert run("convert", rig, "x", "--format", "word")[0] == 2
-    assert run("convert", rig, "x", "--image-size", "big")[0] == 2
-    assert run("convert", rig, "x", "--interior", "1,2")[0] == 2
-    assert run("adjust", rig, "--export", "a.shp")[0] == 2
 
 
 def test_check_partials(run):

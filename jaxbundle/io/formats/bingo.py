@@ -59,7 +59,7 @@ def read_bingo(path: Path, options: ReadOptions = DEFAULT) -> ForeignBlock:
     angles = np.array(
         [found.orientation[name][1] if name in found.orientation else np.zeros(3) for name in images.names]
     )
-    known = np.isfinite(images.centre).all(1)[:, None, None]
+    known = images.oriented[:, None, None]
 
     def other(rows: np.ndarray) -> np.ndarray:
         return np.where(known, rotations.from_angles(rows), np.nan)

@@ -213,7 +213,7 @@ class _Reader:
         place = self._triple(one, "Position/", name)
         self.control.append(Known(name, place, (horizontal, horizontal, vertical), check))
         self.points.append(name)
-        self.coordinates.append((math.nan,) * 3)
+        self.coordinates.append((math.nan, math.nan, math.nan))
         self._measurements(one, point, name)
 
     def _constraint(self, one: ElementTree.Element) -> None:

@@ -1,7 +1,9 @@
 """Binary files of a COLMAP model, little endian. Every file is one buffer; image points are taken from it as arrays."""
 
 import struct
+from collections.abc import Callable
 from pathlib import Path
+from typing import TypeVar
 
 import numpy as np
 from jaxtyping import Float, Int
@@ -15,6 +17,7 @@ from jaxbundle.io.text import require_bytes
 
 IMAGE_POINT = np.dtype([("xy", "<f8", 2), ("point", "<u8")])
 NO_POINT = 2**63  # and above: -1 as COLMAP writes it
+Part = TypeVar("Part")
 CUT = "the file is cut off or damaged: take it from its source again"
 
 
@@ -55,17 +58,18 @@ class _Buffer:
 
 def read_binary(folder: Path, noted: Noted) -> Model:
     """The records of cameras.bin, images.bin, points3D.bin and, where they are there, rigs.bin and frames.bin."""
-    parts = []
-    for read, name in ((_cameras, "cameras"), (_images, "images"), (_points, "points3D")):
-        parts.append(_noted(read, folder / f"{name}.bin", noted))
+    cameras = _noted(_cameras, folder / "cameras.bin", noted)
+    images = _noted(_images, folder / "images.bin", noted)
+    points = _noted(_points, folder / "points3D.bin", noted)
     rigs = _noted(_rigs, folder / "rigs.bin", noted) if (folder / "rigs.bin").is_file() else {}
     frames = _noted(_frames, folder / "frames.bin", noted) if (folder / "frames.bin").is_file() else []
-    if noted:
+    if cameras is None or images is None or points is None or rigs is None or frames is None:
         raise noted.error()
-    return model_of(parts[0], *parts[1], parts[2], (rigs, frames))
+    return model_of(cameras, *images, points, (rigs, frames))
 
 
-def _noted(read, path: Path, noted: Noted):
+def _noted(read: Callable[[Path], Part], path: Path, noted: Noted) -> Part | None:
+    """What a file holds; None and a note where it is damaged."""
     try:
         return read(path)
     except BlockError as error:

@@ -39,12 +39,14 @@ def in_control_system(block: Block, foreign: ForeignBlock) -> Block:
         extent = float(np.linalg.norm(np.ptp(known, axis=0)))
         if not foreign.arbitrary and _rms(model - known) < SAME * extent:
             return block
-        found = similarity(model - model.mean(0), known - known.mean(0), np.ones(len(model)))
+        found = similarity(
+            on_device(model - model.mean(0)), on_device(known - known.mean(0)), on_device(np.ones(len(model)))
+        )
         values = on_host(found.singular_values)
         if not values[1] > FLAT * values[0]:
             continue
         fit = _uncentred(found.similarity, model.mean(0), known.mean(0))
-        left = _rms(on_host(fit(model)) - known)
+        left = _rms(on_host(fit(on_device(model))) - known)
         words = f"the block was brought into the system of {len(model)} {what}: scale {float(fit.scale):.6g}, misfit"
         note = Finding(Kind.INFORMATION, f"{words} {left:.3g} {s.object_unit} rms", "", (), left, s.object_unit)
         return with_findings(_transformed(block, fit), [note])

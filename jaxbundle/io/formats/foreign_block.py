@@ -4,12 +4,12 @@ Conventions are those of the package already: rotations are object_from_image (x
 in px from the top left corner with v down, or in mm from the image centre with y up. What is not known is NaN.
 """
 
-from collections.abc import Callable, Mapping
+from collections.abc import Callable, Iterable, Mapping
 from dataclasses import dataclass, field
 from typing import NamedTuple
 
 import numpy as np
-from jaxtyping import Float, Int
+from jaxtyping import Bool, Float, Int
 
 from jaxbundle.block.findings import Finding
 from jaxbundle.camera.model import CameraModel
@@ -36,6 +36,11 @@ class Images(NamedTuple):
     rotation: Float[np.ndarray, "image 3 3"]
     """object_from_image."""
     centre: Float[np.ndarray, "image 3"]
+
+    @property
+    def oriented(self) -> Bool[np.ndarray, " image"]:
+        """Which images have an orientation."""
+        return np.asarray(np.isfinite(self.rotation).all((1, 2)) & np.isfinite(self.centre).all(1))
 
 
 class Points(NamedTuple):
@@ -109,6 +114,12 @@ class Alternative(NamedTuple):
 
     words: str
     changed: Callable[[ForeignBlock], ForeignBlock]
+
+
+def triple(values: Iterable[float]) -> tuple[float, float, float]:
+    """Three numbers."""
+    x, y, z = values
+    return float(x), float(y), float(z)
 
 
 def element(camera: ForeignCamera, name: str) -> float:

@@ -266,7 +266,7 @@ def read_positions(path: Path, sigma: tuple[float, float] | None = None) -> Posi
         plan, height = given or sigma or STATION_SIGMA
         stations.append(Known(fields[0], place, (plan, plan, height)))
         if len(values) > 5:
-            attitudes.append(Known(fields[0], (values[3], values[4], values[5]), (np.nan,) * 3))
+            attitudes.append(Known(fields[0], (values[3], values[4], values[5]), (np.nan, np.nan, np.nan)))
     if noted:
         raise noted.error()
     findings = ()

@@ -26,11 +26,11 @@ FLAT = 1e-12  # of the determinant of the normal equations, scaled: rays are par
 def with_intersections(foreign: ForeignBlock) -> ForeignBlock:
     """The block in which points without coordinates have those of their rays, where two images or more see them."""
     points = foreign.points.coordinates
-    missing = np.isnan(points).any(1)
+    missing = np.asarray(np.isnan(points).any(1))
     rays, images = foreign.rays, foreign.images
     if not missing.any() or not len(rays.image):
         return foreign
-    oriented = np.isfinite(images.rotation).all((1, 2)) & np.isfinite(images.centre).all(1)
+    oriented = images.oriented
     some = np.flatnonzero(missing[rays.point] & oriented[rays.image])
     if not len(some):
         return foreign

@@ -15,6 +15,7 @@ from jaxtyping import Bool, Float, Int
 
 from jaxbundle.camera.collinearity import photo_vector
 from jaxbundle.camera.model import CameraModel
+from jaxbundle.geometry.vectors import Vector
 from jaxbundle.io.formats.foreign_block import ForeignBlock, element
 
 EXTENT = 95.0  # percent of the rays that tell the size of an image that is not given
@@ -72,7 +73,7 @@ def origin_of(foreign: ForeignBlock) -> Float[np.ndarray, "3"]:
 
 def photo_vectors(
     foreign: ForeignBlock, rays: Int[np.ndarray, " ray"], points: Float[np.ndarray, "point 3"], origin: np.ndarray
-) -> tuple[Float[np.ndarray, " ray"], ...]:
+) -> Vector:
     """p = R^T (X - X0) of some rays."""
     images, image, point = foreign.images, foreign.rays.image[rays], foreign.rays.point[rays]
     rotation = images.rotation[image].reshape(-1, 9).T
@@ -129,8 +130,7 @@ def _misfit(foreign: ForeignBlock, points: Float[np.ndarray, "point 3"], wanted:
     if not wanted.any():
         return NONE
     rays, images = foreign.rays, foreign.images
-    known = wanted & np.isfinite(images.rotation).all((1, 2))[rays.image] & np.isfinite(points).all(1)[rays.point]
-    known &= np.isfinite(images.centre).all(1)[rays.image]
+    known = wanted & images.oriented[rays.image] & np.asarray(np.isfinite(points).all(1))[rays.point]
     if not known.any():
         return NONE
     v, behind = ray_residuals(foreign, points)

@@ -207,7 +207,7 @@ def _in_pixels(found: Collected, own: Collected, known: tuple) -> None:
             what = f"the size of image {name} in px and in mm is not known"
             raise BlockError([Problem(what, "export *_tp_pix4d.txt, or give --image-size W,H and --pixel-size MM")])
         area = calibration.width * calibration.height
-        per_mm = 1 / pixel if pixel else math.sqrt(area / (size[0] * size[1]))
+        per_mm = 1 / pixel if size is None else math.sqrt(area / (size[0] * size[1]))
         found.ray(name, point, calibration.width / 2 + x * per_mm, calibration.height / 2 - y * per_mm)
 
 

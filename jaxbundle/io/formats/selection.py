@@ -16,7 +16,7 @@ NAMED = 10
 def usable(foreign: ForeignBlock) -> ForeignBlock:
     """The block without images that have no orientation or too few rays, and without points that one ray sees."""
     images, points, rays = foreign.images, foreign.points, foreign.rays
-    oriented = np.isfinite(images.rotation).all((1, 2)) & np.isfinite(images.centre).all(1)
+    oriented = images.oriented
     known = {known.name for known in foreign.control if not known.check and np.isfinite(known.coordinates).all()}
     anchored = np.array([name in known for name in points.names], bool)
     image, point, ray = _selected(foreign, oriented, anchored)

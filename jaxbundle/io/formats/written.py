@@ -32,6 +32,7 @@ from jaxbundle.io.formats.foreign_block import (
     Points,
     RayTable,
     element,
+    triple,
 )
 from jaxbundle.io.formats.misfit import ray_residuals
 from jaxbundle.numerics.host import on_host
@@ -92,21 +93,22 @@ def _observed(block: Block, kind: str, names: tuple[str, ...]) -> tuple[Known, .
         values = np.where(group.structure.observed, on_host(group.values), np.nan).tolist()
         sigmas = np.where(group.structure.observed, on_host(group.sigmas), np.nan).tolist()
         index = group.structure.indices[:, 0].tolist()
-        rows += [Known(names[i], tuple(v), tuple(q)) for i, v, q in zip(index, values, sigmas, strict=True)]
+        rows += [Known(names[i], triple(v), triple(q)) for i, v, q in zip(index, values, sigmas, strict=True)]
     return tuple(rows)
 
 
 def _control(block: Block) -> tuple[Known, ...]:
     s, points = block.structure, on_host(block.object_points)
     rows = {row.name: row for row in _observed(block, CONTROL.name, s.point_names)}
+    nowhere = (np.nan, np.nan, np.nan)
     for k in np.flatnonzero(~s.point_free.all(1)).tolist():
         name, held = s.point_names[k], ~s.point_free[k]
-        old = rows.get(name, Known(name, (np.nan,) * 3, (np.nan,) * 3))
+        old = rows.get(name, Known(name, nowhere, nowhere))
         place, sigma = np.where(held, points[k], old.coordinates), np.where(held, 0.0, old.sigmas)
-        rows[name] = Known(name, tuple(place.tolist()), tuple(sigma.tolist()))
+        rows[name] = Known(name, triple(place), triple(sigma))
     check, sigmas = on_host(block.check_points.coordinates).tolist(), on_host(block.check_points.sigmas).tolist()
     for k, place, sigma in zip(s.check_point.tolist(), check, sigmas, strict=True):
-        rows[s.point_names[k]] = Known(s.point_names[k], tuple(place), tuple(sigma), True)
+        rows[s.point_names[k]] = Known(s.point_names[k], triple(place), triple(sigma), True)
     return tuple(rows.values())
 
 

@@ -71,8 +71,9 @@ def features_of(result: Block | Adjustment) -> Features:
     """The features of an adjustment, or of a block as it stands."""
     block = result.block if isinstance(result, Adjustment) else result
     s, points = block.structure, on_host(block.object_points)
-    with_precision = isinstance(result, Adjustment) and result.cofactors is not None
-    sigmas = on_host(result.standard_deviations.object_points) if with_precision else None
+    sigmas, ellipses = None, None
+    if isinstance(result, Adjustment) and result.cofactors is not None:
+        sigmas, ellipses = on_host(result.standard_deviations.object_points), _ellipses(result)
     return Features(
         block,
         points,
@@ -81,7 +82,7 @@ def features_of(result: Block | Adjustment) -> Features:
         on_host(block.exterior.projection_centre),
         on_host(block.exterior.angles),
         _vectors(block, points),
-        _ellipses(result) if with_precision else None,
+        ellipses,
     )
 
 

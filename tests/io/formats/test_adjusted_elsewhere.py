@@ -1,4 +1,4 @@
-"""Adjustments of foreign blocks: the same centres from every format, the same cost as COLMAP's own bundle adjustment."""
+"""Adjustments of foreign blocks: the same centres from every format, the same cost as COLMAP finds."""
 
 import dataclasses
 
