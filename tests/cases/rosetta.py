@@ -5,9 +5,9 @@ from pathlib import Path
 
 import numpy as np
 
-from jaxbundle.io.formats.foreign_block import DEFAULT, ForeignBlock, ReadOptions
+from jaxbundle.io.formats.foreign_block import ForeignBlock, ReadOptions
 from jaxbundle.io.formats.misfit import ray_residuals
-from jaxbundle.io.formats.registry import FORMATS
+from jaxbundle.io.formats.registry import read_format
 
 PLACES = {
     "metashape": "metashape/sxb",
@@ -25,7 +25,7 @@ OPTIONS = ReadOptions((8858, 12996), (20656.5, 4430.0, 6468.0), PIXEL)
 
 def rosetta(shared_data: Path, name: str) -> ForeignBlock:
     """The block from one of the formats."""
-    return FORMATS[name].read(shared_data / "exchange" / PLACES[name], DEFAULT)
+    return read_format(shared_data / "exchange" / PLACES[name], name)
 
 
 def pix4d_folder(shared_data: Path, folder: Path, form: str) -> Path:

@@ -1,3 +1,5 @@
+"""Runs the command line in tests."""
+
 import sys
 
 import pytest

@@ -36,7 +36,7 @@ def test_a_cloud_keeps_double_precision(tmp_path, result, points):
     np.testing.assert_allclose(rows["sX"], np.asarray(result.standard_deviations.object_points)[:, 0], rtol=1e-6)
     assert rows["rays"].sum() == 47
     export(result.block, tmp_path / "b.ply")
-    assert "sX" not in ply_vertices(tmp_path / "b.ply", (tmp_path / "b.ply").read_bytes(), ("x",)).dtype.names
+    assert b"property float sX" not in (tmp_path / "b.ply").read_bytes()
 
 
 @pytest.mark.parametrize("suffix", [".las", ".laz"])
@@ -93,6 +93,7 @@ def test_ezdxf_reads_the_drawing(tmp_path, result):
 
 def test_features_are_those_of_the_adjustment(result, points):
     found = features_of(result)
+    assert found.ellipses is not None
     (group,) = (group for group in result.block.groups if group.structure.kind.name == "control")
     k = group.structure.indices[0, 0]
     np.testing.assert_allclose(found.vectors.residual[0], points[k] - np.asarray(group.values)[0], atol=1e-12)

@@ -12,7 +12,7 @@ from jaxbundle.io.formats.bundler import is_bundler, read_bundler, write_bundler
 from jaxbundle.io.formats.colmap import is_colmap, read_colmap
 from jaxbundle.io.formats.colmap_writer import write_colmap
 from jaxbundle.io.formats.exterior import write_exterior
-from jaxbundle.io.formats.foreign_block import ForeignBlock, ReadOptions
+from jaxbundle.io.formats.foreign_block import DEFAULT, ForeignBlock, ReadOptions
 from jaxbundle.io.formats.inpho import is_inpho, read_inpho
 from jaxbundle.io.formats.metashape import is_metashape, read_metashape
 from jaxbundle.io.formats.micmac import is_micmac, read_micmac, write_micmac
@@ -75,6 +75,17 @@ WRITTEN = tuple(form.name for form in _FORMATS if form.write)
 def recognised(path: Path) -> list[Format]:
     """The formats that a path has, by its content."""
     return [form for form in _FORMATS if form.recognised is not None and form.recognised(path)]
+
+
+def read_format(path: Path, name: str, options: ReadOptions = DEFAULT) -> ForeignBlock:
+    """What a path in a format holds, before it is a block.
+
+    Raises: ValueError for a format that is not read; BlockError with all that is wrong.
+    """
+    form = FORMATS.get(name)
+    if form is None or form.read is None:
+        raise ValueError(f"format '{name}' is not read; known: {', '.join(READ)}")
+    return form.read(path, options)
 
 
 def write_format(block: Block, path: str | Path, name: str) -> tuple[str, ...]:

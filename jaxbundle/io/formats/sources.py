@@ -9,7 +9,7 @@ from jaxbundle.io.formats.coordinates import metric
 from jaxbundle.io.formats.foreign_block import ReadOptions
 from jaxbundle.io.formats.ground_control import Positions, read_control, read_positions, with_control, with_stations
 from jaxbundle.io.formats.photographs import positions_of_photographs
-from jaxbundle.io.formats.registry import Format
+from jaxbundle.io.formats.registry import Format, read_format
 
 
 @dataclass(frozen=True)
@@ -32,8 +32,7 @@ def read_sources(path: Path, form: Format, sources: Sources) -> Block:
 
     Raises: BlockError with all that is wrong in one of the files.
     """
-    assert form.read is not None
-    foreign = form.read(path, sources.options)
+    foreign = read_format(path, form.name, sources.options)
     control = read_control(sources.control, sources.control_sigma) if sources.control else None
     positions = _positions(sources)
     control, positions = metric(control, positions)

@@ -7,7 +7,6 @@ import pytest
 from cases.rosetta import PLACES, rosetta
 
 from jaxbundle.block.block import Block
-from jaxbundle.block.datum import with_datum
 from jaxbundle.io import read
 from jaxbundle.io.formats.assembled import assembled
 from jaxbundle.io.formats.foreign_block import ForeignBlock
@@ -58,5 +57,5 @@ def test_colmap_adjusts_to_the_same_cost(shared_data, tmp_path):
                 point = image.cam_from_world() * model.points3D[seen.point3D_id].xyz
                 cost += 0.5 * float(np.sum((model.cameras[image.camera_id].img_from_cam(point) - seen.xy) ** 2))
     block: Block = read(folder, check_start=False)
-    result = adjust(with_datum(block, "minimal"), precision=False)
+    result = adjust(block, precision=False)
     assert 0.5 * float(result.vtpv) == pytest.approx(cost, rel=1e-6)

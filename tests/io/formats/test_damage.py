@@ -17,7 +17,7 @@ from jaxbundle.io.formats.foreign_block import DEFAULT
 from jaxbundle.io.formats.metashape import read_metashape
 from jaxbundle.io.formats.nvm import read_nvm
 from jaxbundle.io.formats.opensfm import read_opensfm
-from jaxbundle.io.formats.registry import FORMATS, Format, recognised
+from jaxbundle.io.formats.registry import FORMATS, read_format, recognised
 from jaxbundle.io.read import read
 
 
@@ -172,7 +172,7 @@ def test_several_formats_are_told(tmp_path, shared_data):
         read(folder)
 
 
-def small(form: Format, path: Path) -> list[Path]:
+def small(path: Path) -> list[Path]:
     """The files of a sample that can be made wrong."""
     return [path] if path.is_file() else sorted(file for file in path.iterdir() if file.name != "SOURCE.txt")
 
@@ -181,8 +181,8 @@ def small(form: Format, path: Path) -> list[Path]:
 def test_random_damage(tmp_path, shared_data, name):
     """Whatever bytes are changed: a block or a BlockError."""
     place = {**PLACES, "colmap": "colmap/rig2_synthetic/txt", "opensfm": "opensfm", "micmac": "micmac/Ori-Rel"}[name]
-    path, form = copied(shared_data, place, tmp_path), FORMATS[name]
-    files = small(form, path)
+    path = copied(shared_data, place, tmp_path)
+    files = small(path)
     whole = {file: file.read_bytes() for file in files}
     ends = set()
     for seed in range(8):
@@ -190,7 +190,7 @@ def test_random_damage(tmp_path, shared_data, name):
         file = files[int(rng.integers(len(files)))]
         file.write_bytes(bytes_changed(whole[file], rng))
         try:
-            foreign = form.read(path, DEFAULT)
+            foreign = read_format(path, name)
             assert foreign.images.names is not None
             ends.add("read")
         except BlockError as error:

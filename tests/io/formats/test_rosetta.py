@@ -14,7 +14,7 @@ from jaxbundle.io.formats.decided import decided
 from jaxbundle.io.formats.micmac import read_micmac
 from jaxbundle.io.formats.misfit import misfits, ray_residuals
 from jaxbundle.io.formats.opensfm import read_opensfm
-from jaxbundle.io.formats.registry import recognised
+from jaxbundle.io.formats.registry import read_format, recognised
 from jaxbundle.io.formats.rotations import to_angles
 
 RMS = {  # px, tie rays and rays of control points, as the files that were written tell
@@ -52,7 +52,7 @@ def test_formats_without_tie_points_fit_those_of_another(shared_data, name, rms)
 def test_measurements_of_pix4d(shared_data, tmp_path, form):
     folder = pix4d_folder(shared_data, tmp_path / form, form)
     (found,) = recognised(folder)
-    foreign, other = found.read(folder, OPTIONS), rosetta(shared_data, "metashape")
+    foreign, other = read_format(folder, found.name, OPTIONS), rosetta(shared_data, "metashape")
     places = dict(zip(map(str, range(1166)), other.points.coordinates, strict=False))
     assert len(foreign.rays.image) == 4019
     assert rms_at(foreign, places) == pytest.approx(0.3117, abs=5e-5)

@@ -29,7 +29,7 @@ from jaxbundle.io.formats.foreign_block import (
 )
 from jaxbundle.io.formats.intersected import with_intersections
 from jaxbundle.io.formats.misfit import ray_residuals
-from jaxbundle.io.formats.registry import FORMATS
+from jaxbundle.io.formats.registry import FORMATS, read_format
 from jaxbundle.io.formats.written import foreign_block
 
 MADE = ("colmap", "colmap-text", "opensfm", "blocksexchange", "bundler", "nvm", "bingo", "patb", "micmac", "opf")
@@ -115,7 +115,7 @@ def test_residuals_survive(tmp_path, name, camera):
     block = block_of(camera)
     path = tmp_path / f"out{FORMATS[name].suffix}"
     losses = write_format(block, path, name)
-    again = FORMATS[name].read(path, SIZE if name in ("nvm", "bundler") else DEFAULT)
+    again = read_format(path, name, SIZE if name in ("nvm", "bundler") else DEFAULT)
     unit = CAMERAS[camera][2]
     of_file = 0.005 if name in ("bingo", "patb") else 1.0
     expected = residuals(block, 0.005 if unit == "mm" else 1.0)
@@ -212,7 +212,7 @@ def test_names_and_places_survive(tmp_path_factory, names, folder, easting, name
     assert len(block.structure.image_names) == 3  # the fourth sees nothing
     path: Path = tmp_path_factory.mktemp("written") / f"out{FORMATS[name].suffix}"
     write_format(block, path, name)
-    again = FORMATS[name].read(path, DEFAULT)
+    again = read_format(path, name)
     assert again.images.names == block.structure.image_names
     np.testing.assert_allclose(again.images.centre, np.asarray(block.exterior.projection_centre), atol=1e-7)
     ties = _ties if name == "blocksexchange" else lambda foreign: foreign
@@ -224,7 +224,9 @@ def test_what_is_lost_is_said(tmp_path):
     block = block_of("free")
     assert write_format(block, tmp_path / "colmap", "colmap") == ("2 rows of control", "1 check point")
     assert write_format(block, tmp_path / "b.xml", "blocksexchange") == ()
-    held = dataclasses.replace(made("free", NAMES, np.zeros(3)), control=(Known("K 1", (1.0, 2.0, 3.0), (0.0,) * 3),))
+    held = dataclasses.replace(
+        made("free", NAMES, np.zeros(3)), control=(Known("K 1", (1.0, 2.0, 3.0), (0.0, 0.0, 0.0)),)
+    )
     assert write_format(assembled(held), tmp_path / "held", "opensfm") == ("that 1 control point is held",)
     with pytest.raises(ValueError, match="format 'las' is not written; known: colmap, colmap-text"):
         write_format(block, tmp_path / "x", "las")
