@@ -60,7 +60,17 @@ if TYPE_CHECKING:
     from jaxbundle.independent.adjust_models import ModelAdjustment, adjust_models
     from jaxbundle.independent.adjust_strips import StripAdjustment, adjust_strips
     from jaxbundle.independent.plan_height import PlanHeight, plan_height
-    from jaxbundle.io import read, read_bal, read_block_folder, read_flight, write_bal, write_block_folder
+    from jaxbundle.io import (
+        Sources,
+        export,
+        read,
+        read_bal,
+        read_block_folder,
+        read_flight,
+        write_bal,
+        write_block_folder,
+        write_format,
+    )
     from jaxbundle.planning.flight import AerialCamera
     from jaxbundle.planning.predict import Prediction, predict
     from jaxbundle.planning.simulate import Simulation, simulate
@@ -133,10 +143,20 @@ _MODULES = {
     "diagnosis.adjusted": ("findings",),
     "diagnosis.before": ("plausibility", "prepared"),
     "geometry.similarity": ("Similarity",),
-    "io": ("read", "read_bal", "read_block_folder", "read_flight", "write_bal", "write_block_folder"),
     "independent.adjust_models": ("ModelAdjustment", "adjust_models"),
     "independent.adjust_strips": ("StripAdjustment", "adjust_strips"),
     "independent.plan_height": ("PlanHeight", "plan_height"),
+    "io": (
+        "Sources",
+        "export",
+        "read",
+        "read_bal",
+        "read_block_folder",
+        "read_flight",
+        "write_bal",
+        "write_block_folder",
+        "write_format",
+    ),
     "planning.flight": ("AerialCamera",),
     "planning.predict": ("Prediction", "predict"),
     "planning.simulate": ("Simulation", "simulate"),
@@ -216,6 +236,7 @@ __all__ = [
     "Similarity",
     "Simulation",
     "Snooping",
+    "Sources",
     "Status",
     "StripAdjustment",
     "Structure",
@@ -239,6 +260,7 @@ __all__ = [
     "curvature_coefficient",
     "datum_defect",
     "error_ellipses",
+    "export",
     "error_ellipsoids",
     "findings",
     "geodetic_kind",
@@ -279,6 +301,7 @@ __all__ = [
     "write_bal",
     "write_block_folder",
     "write_method_report",
+    "write_format",
     "write_report",
 ]
 

@@ -21,11 +21,11 @@ DISTORTION = ("K1", "K2", "K3", "P1", "P2")
 
 
 def radial_and_decentring(
-    x: Scalar, y: Scalar, k1: Scalar, k2: Scalar, k3: Scalar, p1: Scalar, p2: Scalar
+    x: Scalar, y: Scalar, k1: Scalar, k2: Scalar, k3: Scalar, p1: Scalar, p2: Scalar, k4: Scalar = 0.0
 ) -> ImagePoint:
-    """D(x, y): an image point and its radial and decentring distortion (Brown 1971)."""
+    """D(x, y): an image point with radial and decentring distortion (Brown 1971), and K4 r^8 where it is given."""
     r2 = x * x + y * y
-    radial = 1 + r2 * (k1 + r2 * (k2 + r2 * k3))
+    radial = 1 + r2 * (k1 + r2 * (k2 + r2 * (k3 + r2 * k4)))
     return (
         x * radial + p1 * (r2 + 2 * x * x) + 2 * p2 * x * y,
         y * radial + p2 * (r2 + 2 * y * y) + 2 * p1 * x * y,

@@ -5,13 +5,14 @@
                      dr = A1 (r^2 - R0^2) + A2 (r^4 - R0^4) + A3 (r^6 - R0^6)
                      dx = xs dr + B1 (r^2 + 2 xs^2) + 2 B2 xs ys + C1 xs + C2 ys
                      dy = ys dr + B2 (r^2 + 2 ys^2) + 2 B1 xs ys
-    metashape        v = (f x' + b1 x' + b2 y', f y') - (u - x0, v - y0),  (x', y') = D(xn, -yn), y' and v down
+    metashape        v = (f x' + b1 x' + b2 y', f y') - (u - x0, v - y0),  (x', y') = D(xn, -yn), y' and v down,
+                     D with K4 r^8
     bal              v = f (1 + k1 r^2 + k2 r^4) (xn, yn) - (x, y),  r^2 = xn^2 + yn^2
 
 D as in `brown`. Coefficients of `metashape` and `bal` belong to c = 1; their f is in the unit of the rays. The residual
 of `metashape` is turned to y up at the end, as that of all models. Sources: aicon: balanced radial distortion of
 Luhmann et al. (2014), R0 is the second zero of the radial curve, always held; metashape: Agisoft's manual, appendix
-"camera models", without its K4 and P3, P4; bal: Agarwal et al. (2010).
+"camera models", without its P3, P4; bal: Agarwal et al. (2010).
 """
 
 from jaxbundle.camera.brown import DISTORTION, ORIENTATION, radial_and_decentring
@@ -38,9 +39,9 @@ def _aicon(interior: tuple[Scalar, ...], photo_vector: Vector, measured: ImagePo
 
 
 def _metashape(interior: tuple[Scalar, ...], photo_vector: Vector, measured: ImagePoint) -> ImagePoint:
-    f, x0, y0, k1, k2, k3, p1, p2, b1, b2, y_axis = interior
+    f, x0, y0, k1, k2, k3, p1, p2, b1, b2, k4, y_axis = interior
     xn, yn = central_projection(photo_vector, 1.0)
-    xd, yd = radial_and_decentring(xn, -yn, k1, k2, k3, p1, p2)
+    xd, yd = radial_and_decentring(xn, -yn, k1, k2, k3, p1, p2, k4)
     x, y = reduced(measured, x0, y0, 1.0, y_axis)
     return f * xd + b1 * xd + b2 * yd - x, -f * yd - y
 
@@ -55,5 +56,5 @@ def _bal(interior: tuple[Scalar, ...], photo_vector: Vector, measured: ImagePoin
 
 BROWN_FORWARD = CameraModel("brown-forward", (*ORIENTATION, *DISTORTION, *SENSOR), _brown_forward)
 AICON = CameraModel("aicon", (*ORIENTATION, "A1", "A2", "A3", "B1", "B2", "C1", "C2", "R0", *SENSOR), _aicon)
-METASHAPE = CameraModel("metashape", (*ORIENTATION, *DISTORTION, "b1", "b2", "y_axis"), _metashape)
+METASHAPE = CameraModel("metashape", (*ORIENTATION, *DISTORTION, "b1", "b2", "K4", "y_axis"), _metashape)
 BAL = CameraModel("bal", ("principal_distance", "k1", "k2"), _bal)

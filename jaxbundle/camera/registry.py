@@ -4,6 +4,7 @@ from jaxbundle.camera.additional_parameters import EBNER, GRUEN
 from jaxbundle.camera.brown import BROWN, BROWN_AFFINE_LAST, BROWN_SCALE_FIRST, DISTORTION_FREE
 from jaxbundle.camera.corrections import with_corrections
 from jaxbundle.camera.forward import AICON, BAL, BROWN_FORWARD, METASHAPE
+from jaxbundle.camera.lenses import DIVISION, EUCM, FISHEYE, FISHEYE_624, FOV, RATIONAL
 from jaxbundle.camera.model import CameraModel
 
 _MODELS = (
@@ -17,6 +18,12 @@ _MODELS = (
     BAL,
     EBNER,
     GRUEN,
+    RATIONAL,
+    FISHEYE,
+    FISHEYE_624,
+    FOV,
+    DIVISION,
+    EUCM,
 )
 CAMERA_MODELS = {model.name: model for model in _MODELS}
 

@@ -19,7 +19,8 @@ from jaxbundle.cli.methods import Methods, adjusted_by, require_folder_for_block
 from jaxbundle.cli.progress import COMPILING, ProgressLines
 from jaxbundle.cli.runtime import finished
 from jaxbundle.diagnosis.adjusted import findings
-from jaxbundle.io import read
+from jaxbundle.io import Sources, export, read
+from jaxbundle.io.results.export import EXPORTS
 from jaxbundle.numerics.devices import is_first_process
 from jaxbundle.report.files import require_place, rescue, write_report
 from jaxbundle.report.method_report import method_findings, require_place_of_method, write_method_report
@@ -43,6 +44,8 @@ class Wanted(NamedTuple):
     checkpoint: Path | None
     hold_interior: bool
     methods: Methods = Methods()
+    sources: Sources = Sources()
+    exports: tuple[Path, ...] = ()
 
 
 class Outcome(NamedTuple):
@@ -59,6 +62,7 @@ class Outcome(NamedTuple):
 
 def run(path: Path, out: Path | None, wanted: Wanted, stop: Interruption) -> int:
     """Adjusts, writes and prints; the exit code. Of several processes the first one writes and prints."""
+    _require_exports(wanted.exports)
     folder, first = out or Path(f"{path.resolve().stem}-adjusted"), is_first_process()
     outcome = adjust_path(path, folder, wanted, ProgressLines(quiet=not first), stop)
     if first:
@@ -66,8 +70,20 @@ def run(path: Path, out: Path | None, wanted: Wanted, stop: Interruption) -> int
             typer.echo(f"jaxbundle: {outcome.problem}", err=True)
         echo_result(outcome.adjustment, outcome.found)
         typer.echo(f"Results: {outcome.folder or 'not written'}")
+        for file in wanted.exports:
+            export(outcome.adjustment, file)
+            typer.echo(f"Export: {file}")
     finished()
     return outcome.code
+
+
+def _require_exports(paths: tuple[Path, ...]) -> None:
+    """Raises typer.BadParameter or FileExistsError for files that could not be written after the work."""
+    for path in paths:
+        if path.suffix.lower() not in EXPORTS:
+            raise typer.BadParameter(f"--export {path} has no known suffix; known: {', '.join(EXPORTS)}")
+        if path.exists():
+            raise FileExistsError(f"{path} exists; give another name")
 
 
 def adjust_path(path: Path, folder: Path, wanted: Wanted, lines: ProgressLines, stop: Interruption) -> Outcome:
@@ -77,7 +93,7 @@ def adjust_path(path: Path, folder: Path, wanted: Wanted, lines: ProgressLines, 
     """
     stop.begin()
     with lines.phase("reading"):
-        block = read(path)
+        block = read(path, sources=wanted.sources)
     block = with_interior_held(block) if wanted.hold_interior else block
     options, methods = dataclasses.replace(wanted.options, stop=stopping_rule(block, wanted)), wanted.methods
     if is_first_process():  # before the work, not after it

@@ -17,6 +17,7 @@ import typer
 from jaxbundle.cli import codes, planning
 from jaxbundle.cli.cluster import Cluster, cluster_of
 from jaxbundle.cli.interruption import Interruption
+from jaxbundle.cli.told import Told
 
 _METHOD, _SOLVER, _CLUSTER = "Method", "Solver", "Cluster"  # headings in the help
 _HELP = {"help_option_names": ["-h", "--help"]}
@@ -30,8 +31,49 @@ app = typer.Typer(
 
 app.add_typer(planning.app, name="plan")
 
-Block = Annotated[Path, typer.Argument(metavar="PATH", help="A block folder or a BAL file.", show_default=False)]
-Blocks = Annotated[list[Path], typer.Argument(metavar="PATH", help="Block folders or BAL files.", show_default=False)]
+_A_BLOCK = "a block folder, a BAL file, or a project of another program, told apart by content"
+Block = Annotated[Path, typer.Argument(metavar="PATH", help=f"{_A_BLOCK.capitalize()}.", show_default=False)]
+Blocks = Annotated[list[Path], typer.Argument(metavar="PATH", help=f"Blocks: each {_A_BLOCK}.", show_default=False)]
+_SOURCES = "Projects of other programs"
+Form = Annotated[
+    str,
+    typer.Option(
+        "--format", help="The format of PATH, where its content fits several.", rich_help_panel=_SOURCES, metavar="NAME"
+    ),
+]
+Control = Annotated[
+    Path | None,
+    typer.Option(help="Control: gcp_list.txt, or a table point,X,Y,Z,sX,sY,sZ.", rich_help_panel=_SOURCES),
+]
+Stations = Annotated[
+    Path | None,
+    typer.Option(help="Observed projection centres: geo.txt, or a folder with photographs.", rich_help_panel=_SOURCES),
+]
+Sigmas = Annotated[
+    str,
+    typer.Option(
+        metavar="PLAN,HEIGHT", help="Standard deviations of a table that has none, in m.", rich_help_panel=_SOURCES
+    ),
+]
+Size = Annotated[
+    str,
+    typer.Option(
+        metavar="W,H", help="True size of the images in px, of formats that do not have it.", rich_help_panel=_SOURCES
+    ),
+]
+Interior = Annotated[
+    str,
+    typer.Option(
+        metavar="F,X0,Y0", help="Interior orientation in px, of formats that do not have it.", rich_help_panel=_SOURCES
+    ),
+]
+PixelSize = Annotated[
+    float | None,
+    typer.Option(
+        metavar="MM", help="Size of a pixel, of image coordinates in mm without one.", rich_help_panel=_SOURCES
+    ),
+]
+Chunk = Annotated[str, typer.Option(help="Label of the chunk of a Metashape project.", rich_help_panel=_SOURCES)]
 Out = Annotated[
     Path | None,
     typer.Option(
@@ -82,6 +124,16 @@ def adjust(
     paths: Blocks,
     out: Out = None,
     jobs: Annotated[int, typer.Option(min=1, help="Processes that share several blocks and the cores.")] = 1,
+    show: Annotated[
+        list[Path] | None,
+        typer.Option(
+            "--export",
+            metavar="FILE",
+            help="Points, images, residual vectors and error ellipses for other programs: .ply, .las, .laz, .geojson,"
+            " .gpkg, .kml or .dxf; may be repeated.",
+            show_default=False,
+        ),
+    ] = None,
     hold_interior: Annotated[bool, typer.Option("--hold-interior", help="Hold the interior of all cameras.")] = False,
     no_precision: Annotated[bool, typer.Option("--no-precision", help="No standard deviations.")] = False,
     robust: Annotated[
@@ -120,7 +172,7 @@ def adjust(
     degree: Annotated[
         int, typer.Option(min=2, max=3, help="Degree of the polynomials of strips.", rich_help_panel=_METHOD)
     ] = 2,
-    form: Annotated[
+    polynomials: Annotated[
         Literal["separate", "plan-conformal", "conformal"],
         typer.Option(help="Polynomials of strips: how X, Y and Z belong together.", rich_help_panel=_METHOD),
     ] = "separate",
@@ -184,6 +236,15 @@ def adjust(
         int | None,
         typer.Option(help="Number of this process, from 0 on.", show_default=False, rich_help_panel=_CLUSTER),
     ] = None,
+    form: Form = "",
+    control: Control = None,
+    stations: Stations = None,
+    control_sigma: Sigmas = "",
+    station_sigma: Sigmas = "",
+    image_size: Size = "",
+    chunk: Chunk = "",
+    interior: Interior = "",
+    pixel_size: PixelSize = None,
 ) -> None:
     """Adjust blocks and write their reports and tables.
 
@@ -201,6 +262,8 @@ def adjust(
     cluster = cluster_of(coordinator, processes, process)
     if len(paths) > 1 and (checkpoint is not None or cluster is not None):
         raise typer.BadParameter("a --checkpoint and a cluster belong to one block; adjust the blocks one by one")
+    if show and len(paths) > 1:
+        raise typer.BadParameter("--export belongs to one block; adjust the blocks one by one")
     if reduced == "pcg" and not no_precision:
         raise typer.BadParameter("--reduced pcg gives no standard deviations and needs --no-precision")
     if robust is not None and checkpoint is not None:
@@ -210,8 +273,8 @@ def adjust(
         raise typer.BadParameter(
             f"--checkpoint, a cluster and --stop parallax or unknown belong to the bundle, not to --method {method}"
         )
-    if form == "conformal" and degree != 2:
-        raise typer.BadParameter("--form conformal is of degree 2; other forms have degree 2 or 3")
+    if polynomials == "conformal" and degree != 2:
+        raise typer.BadParameter("--polynomials conformal are of degree 2; others have degree 2 or 3")
     if len(paths) > 1 and adjusted_block is not None:
         raise typer.BadParameter("--adjusted-block is the folder of one block; adjust the blocks one by one")
     try:
@@ -226,8 +289,20 @@ def adjust(
                 reduced=reduced,
                 robust=function,
             )
-            methods = adjusting.Methods("bundle" if by_rays else method, start, degree, form, adjusted_block)
-            wanted = adjusting.Wanted(options, stop, limit, tuple(unknown or ()), checkpoint, hold_interior, methods)
+            methods = adjusting.Methods("bundle" if by_rays else method, start, degree, polynomials, adjusted_block)
+            told = Told(form, control, stations, control_sigma, station_sigma, image_size, chunk, interior, pixel_size)
+            sources = importlib.import_module("jaxbundle.cli.sources").sources_of(told)
+            wanted = adjusting.Wanted(
+                options,
+                stop,
+                limit,
+                tuple(unknown or ()),
+                checkpoint,
+                hold_interior,
+                methods,
+                sources,
+                tuple(show or ()),
+            )
             if len(paths) == 1:
                 code = adjusting.run(paths[0], out, wanted, interruption)
             else:
@@ -256,7 +331,25 @@ def demo(
 @app.command()
 def convert(
     path: Block,
-    out: Annotated[Path, typer.Argument(help="A block folder, or a BAL file with suffix .txt.", show_default=False)],
+    out: Annotated[
+        Path,
+        typer.Argument(
+            help="A block folder, or a file whose suffix tells its form: .txt (BAL), .xml, .nvm, .out, .ply, .csv ...",
+            show_default=False,
+        ),
+    ],
+    to: Annotated[str, typer.Option(help="The format of OUT, where its name does not tell it.", metavar="NAME")] = "",
+    form: Form = "",
+    control: Control = None,
+    stations: Stations = None,
+    control_sigma: Sigmas = "",
+    station_sigma: Sigmas = "",
+    image_size: Size = "",
+    chunk: Chunk = "",
+    interior: Interior = "",
+    pixel_size: PixelSize = None,
 ) -> None:
-    """Convert a block: BAL file or block folder to block folder or BAL file."""
-    _loaded("converting").run(path, out)
+    """Convert a block between the forms that are read and written, and say what the new form cannot hold."""
+    converting = _loaded("converting")
+    told = Told(form, control, stations, control_sigma, station_sigma, image_size, chunk, interior, pixel_size)
+    converting.run(path, out, to, importlib.import_module("jaxbundle.cli.sources").sources_of(told))

@@ -1,9 +1,26 @@
-"""Blocks in files: `read_x(path) -> Block` and `write_x(block, path)` for every format; `read` tells them apart."""
+"""Blocks in files: `read_x(path) -> Block` and `write_x(block, path)` for every format; `read` tells them apart.
+
+The formats of other programs are in `formats`; `write_format` writes them by name. `export` writes what maps, clouds
+and drawings show of results, by the modules of `results`.
+"""
 
 from jaxbundle.io.bal import read_bal, write_bal
 from jaxbundle.io.block_folder import read_block_folder
 from jaxbundle.io.block_folder_writer import write_block_folder
 from jaxbundle.io.flight_toml import read_flight
+from jaxbundle.io.formats.registry import write_format
+from jaxbundle.io.formats.sources import Sources
 from jaxbundle.io.read import read
+from jaxbundle.io.results.export import export
 
-__all__ = ["read", "read_bal", "read_block_folder", "read_flight", "write_bal", "write_block_folder"]
+__all__ = [
+    "Sources",
+    "export",
+    "read",
+    "read_bal",
+    "read_block_folder",
+    "read_flight",
+    "write_bal",
+    "write_block_folder",
+    "write_format",
+]

@@ -247,7 +247,7 @@ def test_simulated_cameras_have_any_model():
     assert dict(zip(GRUEN.elements, camera.interior().values(), strict=True))["grid_base"] == pytest.approx(92.0)
     structure = simulate(camera=camera).truth.structure
     assert structure.model is GRUEN and structure.interior_free.sum() == 2
-    with pytest.raises(ValueError, match="no camera model 'fisheye'; there are none, brown"):
-        simulate(camera=AerialCamera(distortion="fisheye"))
+    with pytest.raises(ValueError, match="no camera model 'mirror'; there are none, brown"):
+        simulate(camera=AerialCamera(distortion="mirror"))
     with pytest.raises(ValueError, match="no interior element grid_base, K9; there are principal_distance, x0"):
         simulate(camera=AerialCamera(distortion="ebner", estimate=("grid_base", "K9")))

@@ -9,6 +9,7 @@ GRUEN_ORDER = [(0, 2), (0, 3), (1, 2), (2, 1), (3, 0), (0, 4), (1, 3), (2, 2), (
 GRUEN_ORDER += [(1, 4), (2, 3), (3, 2), (4, 1), (2, 4), (3, 3), (4, 2), (3, 4), (4, 3), (4, 4)]
 _DEGREES = (1, 1, 2, 2, *(i + j for i, j in GRUEN_ORDER for _ in "xy"))
 _G = tuple((-1) ** k * (1 + 0.1 * k) * 0.02 * 92.0**-degree for k, degree in enumerate(_DEGREES))
+_PX = (4655.7, 1250.0, 840.5)
 INTERIORS = {
     "none": (153.2, 0.012, -0.031, 1.0, 1.0),
     "brown": (28.4, 1250.0, 840.5, 1.3e-4, -2.1e-7, 3e-10, 2.5e-5, -1.7e-5, 3e-4, -2e-4, 0.0061, -1.0),
@@ -16,10 +17,19 @@ INTERIORS = {
     "brown-scale-first": (28.4, 1250.0, 840.5, 1.3e-4, -2.1e-7, 3e-10, 2.5e-5, -1.7e-5, 3e-4, 0.0061, -1.0),
     "brown-forward": (28.4, 1250.0, 840.5, 1.3e-4, -2.1e-7, 3e-10, 2.5e-5, -1.7e-5, 0.0061, -1.0),
     "aicon": (28.4, 0.02, -0.13, -1.3e-4, 2.1e-7, -3e-10, 2.5e-5, -1.7e-5, 3e-4, -2e-4, 9.5, 1.0, 1.0),
-    "metashape": (4655.7, 1250.0, 840.5, -0.11, 0.05, -0.013, 2.5e-4, -1.7e-4, 1.9, -0.8, -1.0),
+    "metashape": (4655.7, 1250.0, 840.5, -0.11, 0.05, -0.013, 2.5e-4, -1.7e-4, 1.9, -0.8, 0.004, -1.0),
     "bal": (1520.4, -0.21, 0.035),
     "ebner": (153.2, 0.012, -0.031, 1e-6, -2e-11, 3e-15, 1e-6, -2e-6, *_E, 92.0, 1.0, 1.0),
     "gruen": (153.2, 0.012, -0.031, 1e-6, -2e-11, 3e-15, 1e-6, -2e-6, *_G, 92.0, 1.0, 1.0),
+    "opencv-rational": (*_PX, -0.11, 0.05, -0.013, 0.02, -0.01, 0.003, 2.5e-4, -1.7e-4, 1.9, -0.8, -1.0),
+    "fisheye": (*_PX, -0.11, 0.05, -0.013, 0.02, 2.5e-4, -1.7e-4, 1e-4, -2e-4, 1.9, -0.8, -1.0),
+    "fisheye-624": (
+        *(*_PX, -0.11, 0.05, -0.013, 0.02, -0.01, 0.003, 2.5e-4, -1.7e-4),
+        *(1e-4, -2e-4, 3e-4, 1e-5, 1.9, -0.8, -1.0),
+    ),
+    "fov": (*_PX, 0.93, 1.9, -0.8, -1.0),
+    "division": (*_PX, -0.12, 1.9, -0.8, -1.0),
+    "eucm": (*_PX, 0.53, 1.1, 1.9, -0.8, -1.0),
 }
 MEASURED = {
     **dict.fromkeys(INTERIORS, (2480.3, 1920.8)),
@@ -76,6 +86,39 @@ def gruen(x, y, g, b):
     return dx, dy
 
 
+LENSES = ("opencv-rational", "fisheye", "fisheye-624", "fov", "division", "eucm")
+
+
+def lens(name, interior, x, y, measured):
+    """Models of strongly distorting lenses, x right, y down; y up in the residual."""
+    f, u0, v0, *d, b1, b2, _ = interior
+    r = np.hypot(x, y)
+    if name.startswith("fisheye"):
+        x, y = x * np.arctan(r) / r, y * np.arctan(r) / r
+        r = np.arctan(r)
+    if name == "opencv-rational":
+        factor = (1 + d[0] * r**2 + d[1] * r**4 + d[2] * r**6) / (1 + d[3] * r**2 + d[4] * r**4 + d[5] * r**6)
+        dx, dy = brown(x, y, 0, 0, 0, *d[6:8])
+        x, y = x * factor + dx - x, y * factor + dy - y
+    elif name == "fisheye":
+        dx, dy = brown(x, y, *d[:3], *d[4:6])
+        x, y = dx + x * d[3] * r**8 + d[6] * r**2, dy + y * d[3] * r**8 + d[7] * r**2
+    elif name == "fisheye-624":
+        factor = 1 + sum(k * r ** (2 * n) for n, k in enumerate(d[:6], 1))
+        x, y = x * factor, y * factor
+        w = x**2 + y**2
+        dx, dy = brown(x, y, 0, 0, 0, *d[6:8])
+        x, y = dx + d[8] * w + d[9] * w**2, dy + d[10] * w + d[11] * w**2
+    else:
+        factor = {
+            "fov": lambda: np.arctan(2 * r * np.tan(d[0] / 2)) / (r * d[0]),
+            "division": lambda: 2 / (1 + np.sqrt(1 - 4 * d[0] * r**2)),
+            "eucm": lambda: 1 / (d[0] * np.sqrt(d[1] * r**2 + 1) + 1 - d[0]),
+        }[name]()
+        x, y = x * factor, y * factor
+    return u0 + (f + b1) * x + b2 * y - measured[0], -(v0 + f * y - measured[1])
+
+
 def definition(name, interior, photo_vector, measured):
     """The residual by the FORMAT of the block folder, line by line; y up."""
     px, py, pz = photo_vector
@@ -85,9 +128,13 @@ def definition(name, interior, photo_vector, measured):
         x, y = -px / pz, -py / pz
         r2 = x**2 + y**2
         return f * (1 + k1 * r2 + k2 * r2**2) * x - u, f * (1 + k1 * r2 + k2 * r2**2) * y - v
+    if name in LENSES:
+        return lens(name, interior, -px / pz, py / pz, measured)
     if name == "metashape":
-        f, u0, v0, *d, b1, b2, _ = interior
+        f, u0, v0, *d, b1, b2, k4, _ = interior
         x, y = brown(-px / pz, py / pz, *d)
+        r2 = (px**2 + py**2) / pz**2
+        x, y = x - px / pz * k4 * r2**4, y + py / pz * k4 * r2**4
         return u0 + x * f + x * b1 + y * b2 - u, -(v0 + y * f - v)
     c, u0, v0, *d, s, y_axis = interior
     xs, ys = -c * px / pz, -c * py / pz

@@ -14,7 +14,7 @@ import numpy as np
 import pytest
 from cases.simulated_blocks import small_block
 
-from jaxbundle.cli import adjusting, codes, demo, main, runtime
+from jaxbundle.cli import adjusting, codes, demo, runtime
 from jaxbundle.cli.interruption import Interruption
 from jaxbundle.cli.progress import HEADER, ProgressLines
 from jaxbundle.io import read, write_block_folder
@@ -37,21 +37,6 @@ def folder(tmp_path_factory):
 def adjustment(folder):
     """Its adjustment."""
     return adjust(read(folder))
-
-
-@pytest.fixture
-def run(tmp_path, monkeypatch, capsys):
-    """Runs a command line in an empty folder; exit code, standard output, standard error."""
-    monkeypatch.chdir(tmp_path)
-    monkeypatch.setattr(runtime, "start", lambda cluster=None: None)  # it sets JAX up for the whole process
-
-    def call(*arguments: object) -> tuple[int, str, str]:
-        monkeypatch.setattr(sys, "argv", ["jaxbundle", *map(str, arguments)])
-        with pytest.raises(SystemExit) as ended:
-            main.main()
-        return int(ended.value.code or 0), *capsys.readouterr()
-
-    return call
 
 
 def test_version_and_help(run):

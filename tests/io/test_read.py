@@ -38,16 +38,8 @@ def told(path: Path) -> str:
 @pytest.mark.parametrize(
     ("path", "what"),
     [
-        ("colmap/txt", "is a COLMAP model; it is not read yet; give a folder with block.toml"),
-        ("colmap/bin", "is a COLMAP model; it is not read yet"),
-        ("colmap/txt/images.txt", "is the images of a COLMAP model, which is not read"),
-        ("exchange/opensfm", "is an OpenSfM reconstruction; it is not read yet"),
-        ("exchange/micmac", "is a MicMac project; it is not read yet"),
-        ("exchange/opf/examples", "is an OPF project; it is not read yet"),
-        ("exchange/bundler/sxb", "is a Bundler project; it is not read yet"),
-        ("exchange/bingo", "is a BINGO project; it is not read yet"),
-        ("exchange/inpho/sxb.prj", "is an Inpho project, which is not read"),
-        ("exchange/blocksexchange/sxb_blocksexchange.xml", "is a BlocksExchange file, which is not read"),
+        ("colmap/txt/images.txt", "is a file of a COLMAP model; give the folder"),
+        ("exchange/colmap/sceaux_rigs_frames", "has no block.toml; give a folder with block.toml, a BAL text file, or"),
         ("exchange/las/simple.laz", "is a point cloud (LAZ), which is not read"),
         ("exchange/exif/DJI_0018_header.jpg", "is a picture (JPEG), which is not read"),
         ("strasbourg-s4-tie/rays.csv", "is a file of the block folder"),
@@ -58,7 +50,9 @@ def test_known_forms_are_named(shared_data: Path, path: str, what: str) -> None:
 
 
 def test_what_is_nothing(tmp_path: Path) -> None:
-    assert "does not exist; give a folder with block.toml or a BAL text file" in told(tmp_path / "nowhere")
+    assert "does not exist; give a folder with block.toml, a BAL text file, or one of: colmap" in told(
+        tmp_path / "nowhere"
+    )
     assert "cannot be read: File name too long" in told(tmp_path / ("a" * 300))
     assert "has no block.toml" in told(tmp_path)
     (tmp_path / "a" / "b").mkdir(parents=True)

@@ -1,0 +1,28 @@
+"""Packages that only some formats need: they are asked for when they are used, by the name of their extra."""
+
+import importlib
+from typing import Any
+
+from jaxbundle.block.problems import BlockError, Problem
+
+EXTRAS = {
+    "pyproj": "gis",
+    "pyogrio": "gis",
+    "ezdxf": "gis",
+    "laspy": "las",
+    "lazrs": "las",
+    "exifread": "photos",
+}
+
+
+def extra(module: str, what: str) -> Any:
+    """A module of an optional package; `what` needs it, such as "coordinates in degrees".
+
+    Raises: BlockError with the name of the extra where the package is not installed.
+    """
+    package = module.partition(".")[0]
+    try:
+        return importlib.import_module(module)
+    except ImportError as error:
+        cure = f"install it with pip install 'jaxbundle[{EXTRAS[package]}]', or pip install {package}"
+        raise BlockError([Problem(f"{what} needs the package {package}, which is not installed", cure)]) from error
