@@ -16,6 +16,8 @@ from typing import TYPE_CHECKING, Any
 
 if TYPE_CHECKING:
     from jaxbundle.approximate.absolute_orientation import AbsoluteOrientation, absolute_orientation
+    from jaxbundle.approximate.approximation import Approximation
+    from jaxbundle.approximate.from_nothing import approximate
     from jaxbundle.approximate.intersection import intersect
     from jaxbundle.approximate.relative_orientation import RelativeOrientation, relative_orientation
     from jaxbundle.approximate.resection import Resection, resection
@@ -87,6 +89,8 @@ if TYPE_CHECKING:
 __version__ = "0.1.0"
 
 _MODULES = {
+    "approximate.approximation": ("Approximation",),
+    "approximate.from_nothing": ("approximate",),
     "approximate.absolute_orientation": ("AbsoluteOrientation", "absolute_orientation"),
     "approximate.intersection": ("intersect",),
     "approximate.relative_orientation": ("RelativeOrientation", "relative_orientation"),
@@ -172,6 +176,7 @@ __all__ = [
     "Adjustment",
     "AerialCamera",
     "AngleRule",
+    "Approximation",
     "Batch",
     "Block",
     "BlockError",
@@ -214,6 +219,7 @@ __all__ = [
     "adjust",
     "adjust_many",
     "all_control",
+    "approximate",
     "camera_rays",
     "collinearity",
     "control_influence",

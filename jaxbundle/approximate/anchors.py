@@ -13,6 +13,8 @@ from jaxbundle.block.navigation import ATTITUDES, GNSS
 from jaxbundle.block.observations import CONTROL, STATIONS
 from jaxbundle.numerics.host import on_host
 
+ENOUGH = 3  # anchors with all coordinates
+
 
 class Given(NamedTuple):
     """Object coordinates and attitudes that are observed, held, or given for images that are not to be replaced."""
@@ -25,6 +27,8 @@ class Given(NamedTuple):
     """Rotations object_from_image, NaN where there is none."""
     oriented: Bool[np.ndarray, " image"]
     """Images whose orientation is given."""
+    rough: Float[np.ndarray, "image 3"]
+    """Approximate centres; they count where what is observed does not suffice."""
 
 
 class Anchors(NamedTuple):
@@ -54,7 +58,8 @@ def given_of(block: Block, replaced: Bool[np.ndarray, " image"]) -> Given:
     centres, angles = np.array(block.exterior.projection_centre), np.array(block.exterior.angles)
     oriented = np.isfinite(np.c_[centres, angles]).all(1) & ~replaced
     held = ~s.exterior_free
-    centres = np.where(oriented[:, None] | held[:, :3], centres, np.nan)
+    rough = np.where(replaced[:, None], np.nan, centres)
+    centres = np.where(held[:, :3], centres, np.nan)
     angles[~(oriented | held[:, 3:].all(1))] = np.nan
     point_sigmas, centre_sigmas = np.zeros(points.shape), np.zeros(centres.shape)
     for group in block.groups:
@@ -70,7 +75,7 @@ def given_of(block: Block, replaced: Bool[np.ndarray, " image"]) -> Given:
             new = np.isnan(angles[index]).any(1) & observed.all(1)
             angles[index[new]] = values[new]
     rotation = np.stack([np.asarray(x) for x in s.rotation_system.rotation_from_angles(*angles.T)], 1)
-    return Given(points, point_sigmas, centres, centre_sigmas, rotation.reshape(-1, 3, 3), oriented)
+    return Given(points, point_sigmas, centres, centre_sigmas, rotation.reshape(-1, 3, 3), oriented, rough)
 
 
 def _fill(
@@ -90,6 +95,9 @@ def anchors_of(
 ) -> Anchors:
     """The anchors of a part: its images with their centres, and its points, NaN where it has none."""
     known = np.flatnonzero(np.isfinite(given.points).any(1) & np.isfinite(points).all(1))
+    full = np.isfinite(given.points[known]).all(1).sum() + np.isfinite(given.centres[images]).all(1).sum()
+    if full < ENOUGH:
+        given = given._replace(centres=np.where(np.isnan(given.centres), given.rough, given.centres))
     stations = np.flatnonzero(np.isfinite(given.centres[images]).any(1))
     return Anchors(
         np.concatenate([points[known], centre[stations]]),

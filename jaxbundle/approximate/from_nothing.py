@@ -15,10 +15,11 @@ from jaxtyping import Bool, Float, Int
 from jaxbundle.approximate.anchors import Given, anchors_of, given_of
 from jaxbundle.approximate.approximation import Approximation, Figure, OrientedPart, Step, Way
 from jaxbundle.approximate.common_rays import Directions
+from jaxbundle.approximate.figures import with_figures
 from jaxbundle.approximate.global_start import GlobalStart, PartOrientation, global_start
 from jaxbundle.approximate.oriented import oriented
 from jaxbundle.approximate.robust_intersection import Met, Rays, met
-from jaxbundle.approximate.sight import Sight, direction_sigmas, medians, sight_of
+from jaxbundle.approximate.sight import Sight, direction_sigmas, sight_of
 from jaxbundle.approximate.start_findings import start_findings
 from jaxbundle.approximate.to_object import Basis, Placed, Views, closed_form, placed
 from jaxbundle.block.block import Block
@@ -289,6 +290,7 @@ def _answer(work: _Work, way: Way, state: State, rest: tuple) -> Approximation:
         block,
         (on_device(centre), on_device(angles), on_device(points)),
     )
+    new, _ = with_figures(new)
     members = _parts(work, state, parts)
     loose = tuple(s.image_names[k] for k in np.flatnonzero(~done))
     names = tuple(OrientedPart(tuple(s.image_names[k] for k in images), basis) for images, basis in members)

@@ -53,7 +53,7 @@ class Lines(NamedTuple):
 def chosen_points(
     image: Int[np.ndarray, " ray"], point: Int[np.ndarray, " ray"], weight: Float[np.ndarray, " ray"], points: int
 ) -> Int[np.ndarray, " chosen"]:
-    """Points by which positions are found: those with most believed rays come first, so many that images have enough."""
+    """Points by which positions are found: those with most believed rays first, until every image has enough."""
     rng = np.random.default_rng(0)
     count = np.bincount(point, weight, points)
     rank = np.empty(points)
@@ -71,7 +71,7 @@ def positions(lines: Lines) -> Positions:
     """The positions in which all lines meet best."""
     across = np.eye(3) - lines.along[:, :, None] * lines.along[:, None, :]
     distance, fit = np.ones(len(lines.image)), lines.weight
-    for number in range(PASSES):
+    for _ in range(PASSES):
         weight = fit * lines.weight / (distance * lines.sigma / lines.sigma.min()) ** 2
         centre, values, points = _smallest(lines, weight[:, None, None] * across)
         vector = points[lines.point] - centre[lines.image]

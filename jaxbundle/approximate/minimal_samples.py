@@ -33,7 +33,9 @@ _POWERS = np.stack([_SINE**k * _COSINE ** (10 - k) for k in range(11)], 1)
 def essential_matrices(
     first: Float[Array, "3 5 sample"], second: Float[Array, "3 5 sample"], zero: Int[Array, ""]
 ) -> tuple[Float[Array, "9 root sample"], Bool[Array, "root sample"]]:
-    """Matrices of Frobenius norm sqrt 2, row by row, and which exist. `first`, `second`: unit vectors; `zero`: see `stored`."""
+    """Matrices of Frobenius norm sqrt 2, row by row, and which exist. `first`, `second`: unit vectors.
+
+    `zero`: see `stored`."""
     products = jnp.moveaxis(second[:, None] * first[None, :], 2, 0)
     basis = stored(_null_space(products.reshape(5, 9, -1), zero), zero)
     equations = _eliminated(stored(_cubic_equations(basis.reshape(4, 3, 3, -1)), zero), zero)
@@ -99,7 +101,7 @@ def _cubic_equations(n: Float[Array, "4 3 3 sample"]) -> Float[Array, "10 20 sam
     """Coefficients of the ten equations, in the order of `five_points.MONOMIALS`."""
     g = sum(n[:, None, :, None, k] * n[None, :, None, :, k] for k in range(3))
     trace = g[:, :, 0, 0] + g[:, :, 1, 1] + g[:, :, 2, 2]
-    t = 2 * sum(g[:, :, None, :, None, l] * n[None, None, :, None, l] for l in range(3))
+    t = 2 * sum(g[:, :, None, :, None, k] * n[None, None, :, None, k] for k in range(3))
     t = t - trace[:, :, None, None, None] * n[None, None]
     minors = {}
     for i, j in ((0, 1), (0, 2), (1, 2)):

@@ -5,7 +5,7 @@ from collections.abc import Sequence
 import numpy as np
 from jaxtyping import Bool
 
-from jaxbundle.approximate.approximation import OrientedPart
+from jaxbundle.approximate.approximation import Approximation, OrientedPart
 from jaxbundle.approximate.to_object import Basis
 from jaxbundle.block.block import Block
 from jaxbundle.block.findings import Finding, Kind, Subject, in_order
@@ -83,3 +83,11 @@ def _suspects(block: Block, suspects: Bool[np.ndarray, " ray"]) -> list[Finding]
     cure = "measure again, or adjust with robust weights; the start leaves them out, the adjustment takes them"
     subjects = tuple(Subject("rays", pair) for pair in names)
     return [Finding(Kind.SUSPECT, what, cure, subjects, float(len(names)), "rays")]
+
+
+def found_orientations(found: Approximation) -> tuple[Finding, ...]:
+    """What was done: the way and the figures of its steps."""
+    steps = "; ".join(step.words for step in found.steps)
+    number = sum(len(part.images) for part in found.parts)
+    what = f"the start was found from the rays, with {counted(number, 'image')} oriented ({found.way.value}): {steps}"
+    return (Finding(Kind.APPROXIMATED, what, "", (), float(number)),)

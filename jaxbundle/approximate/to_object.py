@@ -2,8 +2,8 @@
 
 Three anchors with all coordinates and not on a line give the similarity in closed form; of all triples that is taken
 which most anchors agree with. A part is bent by more than its sigmas say, so the tolerance grows with its extent. With
-less the ways are, in this order: attitudes that are given, with a scale and a shift; plan and height control; anchors on
-a line with the assumption that the mean view is vertical; and, with nothing, a system of its own: the mean base 1, the
+less the ways are, in this order: attitudes that are given, with a scale and a shift; plan and height control; anchors
+on a line with the assumption that the mean view is vertical; and, with nothing, a system of its own: the mean base 1, the
 mean view downwards or the centres in a horizontal plane. A part is never mirrored.
 """
 

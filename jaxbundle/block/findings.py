@@ -42,6 +42,7 @@ class Kind(Enum):
     ASSUMED = "assumption of the start", Severity.CHECK
     START = "implausible approximate values", Severity.CHECK
     REPAIRED = "approximate values replaced", Severity.NOTE
+    APPROXIMATED = "approximate values found", Severity.NOTE
     # who causes it
     SYSTEMATIC = "group that disagrees as a whole", Severity.CHECK
     SUSPECT = "suspect observation", Severity.CHECK
