@@ -1,4 +1,4 @@
-"""What a start from nothing gives: the block with approximate values, how they were found, and how good each step was."""
+"""What a start from nothing gives: approximate values, how they were found, and how good each step was."""
 
 import math
 from dataclasses import dataclass

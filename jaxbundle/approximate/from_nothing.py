@@ -36,6 +36,7 @@ LEAST_POINTS = 5  # of a resection: four and one to check them
 ROUGH = 0.1  # fields; median angle off, with which a resection is believed
 BEHIND = 0.1  # share of the points behind an image that is resected
 WAVES = 20
+SUSPECT = 4.0  # typical misfits, themselves of several standard deviations
 FEWEST = 3  # common points that bring a part into the system of another
 
 
@@ -268,18 +269,7 @@ def _answer(work: _Work, way: Way, state: State, rest: tuple) -> Approximation:
     suspects = np.zeros(len(off), bool)
     several = np.bincount(work.sight.point[of], minlength=len(found.points)) >= 2
     suspects[of] = (found.off > SUSPECT * typical) & several[work.sight.point[of]]
-    steps.append(
-        Step(
-            "points intersected",
-            (
-                Figure("points", int(np.isfinite(found.points).all(1).sum())),
-                Figure("rays that fit", 100 * float(found.fits.mean()) if len(of) else 0.0, "%"),
-                Figure("median angle off", np.degrees(float(np.median(found.off[found.fits] * _sigma(work, of)[found.fits])))
-                       if found.fits.any() else np.nan, "deg"),
-                Figure("suspect rays", int(suspects.sum())),
-            ),
-        )
-    )  # fmt: skip
+    steps.append(_points_step(found, SPREAD * work.directions.sigma[of], int(suspects.sum())))
     points = _points(work, state, found, refused)
     angles = _angles(work, state)
     held = ~s.exterior_free
@@ -298,11 +288,17 @@ def _answer(work: _Work, way: Way, state: State, rest: tuple) -> Approximation:
     return Approximation(new, way, tuple(steps), names, loose, suspects, findings)
 
 
-SUSPECT = 4.0  # typical misfits, themselves of several standard deviations
-
-
-def _sigma(work: _Work, of: Int[np.ndarray, " ray"]) -> Float[np.ndarray, " ray"]:
-    return SPREAD * work.directions.sigma[of]
+def _points_step(found: Met, sigma: Float[np.ndarray, " ray"], suspects: int) -> Step:
+    off = np.degrees(found.off * sigma)[found.fits]
+    return Step(
+        "points intersected",
+        (
+            Figure("points", int(np.isfinite(found.points).all(1).sum())),
+            Figure("rays that fit", 100 * float(found.fits.mean()) if len(sigma) else 0.0, "%"),
+            Figure("median angle off", float(np.median(off)) if len(off) else np.nan, "deg"),
+            Figure("suspect rays", suspects),
+        ),
+    )
 
 
 def _angles(work: _Work, state: State) -> Float[np.ndarray, "image 3"]:
@@ -315,21 +311,21 @@ def _angles(work: _Work, state: State) -> Float[np.ndarray, "image 3"]:
 def _points(work: _Work, state: State, found: Met, refused: Bool[np.ndarray, " point"]) -> Float[np.ndarray, "point 3"]:
     """Control as given, all others from their rays; a point whose rays do not meet is put where they pass each other,
     or far in front."""
-    block, d = work.block, work.directions
-    points = found.points.copy()
-    lost = ~np.isfinite(points).all(1)
+    points, (rays, _) = found.points.copy(), _rays(work, state, state.oriented)
+    count = len(points)
+    depth = ((points[rays.point] - rays.centre) * rays.along).sum(1)
+    # nearly parallel rays of a rough start may meet behind their images
+    behind = np.bincount(rays.point, ~(depth > 0), count) > 0
+    lost = behind & (np.bincount(rays.point, found.fits, count) < 2) & (np.bincount(rays.point, minlength=count) >= 2)
     if lost.any():
-        rays, _ = _rays(work, state, state.oriented)
-        count = np.bincount(rays.point, minlength=len(points))
-        depth = ((found.points[rays.point] - rays.centre) * rays.along).sum(1)
-        typical = np.nanmedian(depth) if np.isfinite(depth).any() else 1.0
-        ahead = rays.centre + typical * rays.along
-        mean = np.stack([np.bincount(rays.point, column, len(points)) for column in ahead.T], 1)
-        mean /= np.maximum(count, 1)[:, None]
-        points[lost & (count >= 2)] = mean[lost & (count >= 2)]
+        some = np.flatnonzero(lost[rays.point])
+        typical = np.median(depth[depth > 0]) if (depth > 0).any() else 1.0
+        ahead = rays.centre[some] + typical * rays.along[some]
+        sums = np.stack([np.bincount(rays.point[some], column, count) for column in ahead.T], 1)
+        points[lost] = sums[lost] / np.bincount(rays.point, minlength=count)[lost, None]
     believed = np.isfinite(work.given.points) & ~refused[:, None]
     points = np.where(believed, work.given.points, points)
-    return np.where(block.structure.point_free, points, np.asarray(block.object_points))
+    return np.where(work.block.structure.point_free, points, np.asarray(work.block.object_points))
 
 
 def _parts(work: _Work, state: State, parts: list[tuple[np.ndarray, Basis]]) -> list[tuple[np.ndarray, Basis]]:
