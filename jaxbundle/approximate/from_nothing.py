@@ -18,7 +18,7 @@ from jaxbundle.approximate.common_rays import Directions
 from jaxbundle.approximate.figures import with_figures
 from jaxbundle.approximate.global_start import GlobalStart, PartOrientation, global_start
 from jaxbundle.approximate.oriented import oriented
-from jaxbundle.approximate.robust_intersection import Met, Rays, met
+from jaxbundle.approximate.robust_intersection import Met, Rays, ahead, met
 from jaxbundle.approximate.sight import Sight, direction_sigmas, sight_of
 from jaxbundle.approximate.start_findings import start_findings
 from jaxbundle.approximate.to_object import Basis, Placed, Views, closed_form, placed
@@ -36,7 +36,7 @@ LEAST_POINTS = 5  # of a resection: four and one to check them
 ROUGH = 0.1  # fields; median angle off, with which a resection is believed
 BEHIND = 0.1  # share of the points behind an image that is resected
 WAVES = 20
-SUSPECT = 4.0  # typical misfits, themselves of several standard deviations
+SUSPECT = 10.0  # typical misfits: a ray anywhere on its image is off by many more
 FEWEST = 3  # common points that bring a part into the system of another
 
 
@@ -318,11 +318,8 @@ def _points(work: _Work, state: State, found: Met, refused: Bool[np.ndarray, " p
     behind = np.bincount(rays.point, ~(depth > 0), count) > 0
     lost = behind & (np.bincount(rays.point, found.fits, count) < 2) & (np.bincount(rays.point, minlength=count) >= 2)
     if lost.any():
-        some = np.flatnonzero(lost[rays.point])
-        typical = np.median(depth[depth > 0]) if (depth > 0).any() else 1.0
-        ahead = rays.centre[some] + typical * rays.along[some]
-        sums = np.stack([np.bincount(rays.point[some], column, count) for column in ahead.T], 1)
-        points[lost] = sums[lost] / np.bincount(rays.point, minlength=count)[lost, None]
+        typical = float(np.median(depth[depth > 0])) if (depth > 0).any() else 1.0
+        points = np.where(lost[:, None], ahead(rays, typical, count), points)
     believed = np.isfinite(work.given.points) & ~refused[:, None]
     points = np.where(believed, work.given.points, points)
     return np.where(work.block.structure.point_free, points, np.asarray(work.block.object_points))

@@ -4,8 +4,8 @@
 
 The points are eliminated, as in the adjustment. Of the reduced matrix S three directions are shifts; the eigenvector of
 the smallest other eigenvalue has the positions, up to the scale. The second smallest tells how well they are
-determined: where it is as small, a part has a scale of its own. The distances are renewed with every pass, and rays that
-do not fit lose their weight (rho).
+determined: where it is as small, a part has a scale of its own. The distances are renewed with every pass, and rays
+that do not fit lose their weight (rho).
 """
 
 from typing import NamedTuple

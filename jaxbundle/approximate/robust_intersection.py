@@ -12,6 +12,8 @@ from jaxtyping import Bool, Float, Int
 
 from jaxbundle.approximate.intersection import closest_to_rays
 
+DEPTHS = 2.0 ** np.arange(-3, 7)  # of a typical depth
+NEARLY = 2.0  # times the least misfit
 TRIALS = 12  # pairs of rays of a point
 FITS = 4.0  # standard deviations
 
@@ -97,3 +99,22 @@ def _tried(
         better = cost < best
         best, chosen[better] = np.where(better, cost, best), new[better]
     return chosen
+
+
+def ahead(rays: Rays, typical: float, count: int) -> Float[np.ndarray, "point 3"]:
+    """Points in front of their images, as near as the rays pass them nearly as well as farther away.
+
+    Rays of a rough start that are nearly parallel may meet behind their images, or at infinity, from where an
+    adjustment does not come back. `typical`: depth of the other points.
+    """
+    number = np.maximum(np.bincount(rays.point, minlength=count), 1)
+    places, misfits = [], []
+    for depth in typical * DEPTHS:
+        at = rays.centre + depth * rays.along
+        place = np.stack([np.bincount(rays.point, column, count) for column in at.T], 1) / number[:, None]
+        off = np.minimum(_off(rays, place) * rays.sigma, 1.0)
+        places.append(place)
+        misfits.append(np.sqrt(np.bincount(rays.point, off**2, count) / number))
+    misfit = np.stack(misfits)
+    first = np.argmax(misfit <= NEARLY * misfit.min(0), axis=0)
+    return np.stack(places)[first, np.arange(count)]

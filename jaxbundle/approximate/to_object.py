@@ -3,8 +3,8 @@
 Three anchors with all coordinates and not on a line give the similarity in closed form; of all triples that is taken
 which most anchors agree with. A part is bent by more than its sigmas say, so the tolerance grows with its extent. With
 less the ways are, in this order: attitudes that are given, with a scale and a shift; plan and height control; anchors
-on a line with the assumption that the mean view is vertical; and, with nothing, a system of its own: the mean base 1, the
-mean view downwards or the centres in a horizontal plane. A part is never mirrored.
+on a line with the assumption that the mean view is vertical; and, with nothing, a system of its own: the mean base 1,
+the mean view downwards or the centres in a horizontal plane. A part is never mirrored.
 """
 
 from enum import Enum
@@ -20,6 +20,7 @@ from jaxbundle.approximate.anchors import Anchors
 BENT = 0.005  # of the extent: standard deviation of a place in a part before the adjustment
 WILD = 0.1  # of the extent: a median misfit beyond this is no agreement
 ON_A_LINE = 1e-3  # second over first singular value of the anchors that are used
+FLAT = 0.02  # the same of plan and height control, which needs more
 ALL_TRIPLES = 20  # anchors, of which all triples are tried
 TRIPLES = 1000
 ALIKE = np.cos(np.radians(40.0))  # views that agree
@@ -158,6 +159,9 @@ def _by_attitudes(anchors: Anchors, views: Views) -> Placed | None:
 def _by_plan_and_height(anchors: Anchors, views: Views) -> Placed | None:
     given = np.isfinite(anchors.object_points)
     if given[:, :2].all(1).sum() < 2 or given[:, 2].sum() < 3 or given.sum() < 7:
+        return None
+    extent = np.linalg.svd(anchors.model - anchors.model.mean(0), compute_uv=False)
+    if extent[1] < FLAT * extent[0] or np.nanmax(np.nanstd(anchors.object_points, 0)) == 0:
         return None
     o = np.where(given[:, :2].all(1)[:, None] | np.array([False, False, True]), anchors.object_points, np.nan)
     some = np.isfinite(o).any(1)

@@ -2,9 +2,9 @@
 
     python tests/benchmarks/starts.py [--blocks 100] [--wrong 0.3] [--kinds flat,ring] [--seed 0]
 
-A start succeeds when all images are oriented in one system, with attitudes within 2 degrees and centres within 5 % of the
-mean distance of the points: the adjustment converges from there. One that does not succeed and does not say so (`Approximation.complete`, loose images) is
-counted as silent. Wrong rays are named or not; right rays that are named are counted too.
+A start succeeds when all images are oriented in one system, with attitudes within 2 degrees and centres within 5 % of
+the mean distance of the points: the adjustment converges from there. One that does not succeed and does not say so
+(`Approximation.complete`) is counted as silent. Wrong rays are named or not; right rays that are named are counted too.
 """
 
 import argparse
@@ -50,12 +50,15 @@ def main() -> None:
                 told = "told" if not found.complete else "silent"
                 silent += [k] if found.complete else []
                 worst = f"{np.nanmax(angle):.3g} deg, {np.nanmax(off):.3g}" if np.isfinite(angle).any() else "none"
-                print(f"  {kind} {k}: {told}, {len(found.loose)} loose, {len(found.parts)} parts, worst {worst}", flush=True)
+                print(
+                    f"  {kind} {k}: {told}, {len(found.loose)} loose, {len(found.parts)} parts, worst {worst}",
+                    flush=True,
+                )
             named.append(found.suspect_rays[truth.wrong].mean() if truth.wrong.any() else 1.0)
             false.append(found.suspect_rays[~truth.wrong].mean())
         print(
-            f"{kind}: {good} of {options.blocks} succeed, silent {silent}; wrong rays named {100 * np.mean(named):.1f} %, "
-            f"right rays named {100 * np.mean(false):.1f} %; {spent / options.blocks:.2f} s of processor time per block",
+            f"{kind}: {good} of {options.blocks} succeed, silent {silent}; wrong rays named"
+            f" {100 * np.mean(named):.1f} %, right rays named {100 * np.mean(false):.1f} %; {spent / options.blocks:.2f} s of processor time per block",
             flush=True,
         )
 
