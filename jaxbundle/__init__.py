@@ -17,8 +17,13 @@ from typing import TYPE_CHECKING, Any
 if TYPE_CHECKING:
     from jaxbundle.approximate.absolute_orientation import AbsoluteOrientation, absolute_orientation
     from jaxbundle.approximate.approximation import Approximation
+    from jaxbundle.approximate.direct_linear_transformation import (
+        DirectLinearTransformation,
+        direct_linear_transformation,
+    )
     from jaxbundle.approximate.from_nothing import approximate
     from jaxbundle.approximate.intersection import intersect
+    from jaxbundle.approximate.planar_resection import PlanarResection, planar_resection
     from jaxbundle.approximate.relative_orientation import RelativeOrientation, relative_orientation
     from jaxbundle.approximate.resection import Resection, resection
     from jaxbundle.approximate.three_point_resection import ThreePointResection, three_point_resection
@@ -90,7 +95,9 @@ __version__ = "0.1.0"
 
 _MODULES = {
     "approximate.approximation": ("Approximation",),
+    "approximate.direct_linear_transformation": ("DirectLinearTransformation", "direct_linear_transformation"),
     "approximate.from_nothing": ("approximate",),
+    "approximate.planar_resection": ("PlanarResection", "planar_resection"),
     "approximate.absolute_orientation": ("AbsoluteOrientation", "absolute_orientation"),
     "approximate.intersection": ("intersect",),
     "approximate.relative_orientation": ("RelativeOrientation", "relative_orientation"),
@@ -187,6 +194,7 @@ __all__ = [
     "Danish",
     "Datum",
     "DatumDefect",
+    "DirectLinearTransformation",
     "ExteriorOrientation",
     "FiducialError",
     "Finding",
@@ -198,6 +206,7 @@ __all__ = [
     "Options",
     "Outcome",
     "Parameter",
+    "PlanarResection",
     "PointRule",
     "Problem",
     "Progress",
@@ -229,6 +238,7 @@ __all__ = [
     "crosscheck",
     "curvature_coefficient",
     "datum_defect",
+    "direct_linear_transformation",
     "error_ellipses",
     "error_ellipsoids",
     "findings",
@@ -241,6 +251,7 @@ __all__ = [
     "observation_group",
     "observations_of_kind",
     "parallax_rule",
+    "planar_resection",
     "plausibility",
     "prepared",
     "read",

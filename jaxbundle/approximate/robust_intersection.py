@@ -40,7 +40,8 @@ class Met(NamedTuple):
 
 def met(rays: Rays, count: int) -> Met:
     """All points."""
-    points = _closest(rays, rays.believed, count)
+    few = np.bincount(rays.point, rays.believed, count) < 2  # the only pair of two rays may err: all are looked at
+    points = _closest(rays, rays.believed | few[rays.point], count)
     off = _off(rays, points)
     number = np.bincount(rays.point, minlength=count)
     bad = np.bincount(rays.point, ~(off <= FITS), count)

@@ -9,6 +9,7 @@ import pytest
 from cases.bare_blocks import Bare, aerial, bare, block_of, errors, scene, without_start
 
 import jaxbundle as jb
+from jaxbundle.approximate import from_nothing
 from jaxbundle.approximate.approximation import Way
 from jaxbundle.approximate.to_object import Basis
 from jaxbundle.block.block import Block
@@ -152,6 +153,7 @@ def test_control_brings_it_into_the_object_system(strips):
     assert "not near its place" in told.what
 
 
+@pytest.mark.thorough
 def test_plan_and_height_control(strips):
     chosen = np.array([3, 40, 80, 120, 160, 10])
     given = strips.points[chosen].copy()
@@ -224,7 +226,7 @@ def test_what_cannot_be_started():
         jb.approximate(dataclasses.replace(strips.block, structure=empty))
 
 
-@pytest.mark.parametrize("name", ["strasbourg-s4-tie", "camcal-c2-weighted"])
+@pytest.mark.parametrize("name", ["strasbourg-s4-tie", pytest.param("camcal-c2-weighted", marks=pytest.mark.thorough)])
 def test_measured_blocks_are_resected_from_control(shared_data, name):
     given = jb.read(shared_data / name, check_start=False)
     found = jb.approximate(without_start(given))
@@ -243,3 +245,17 @@ def test_given_orientations_stay(strips, found):
     np.testing.assert_array_equal(again.block.exterior.projection_centre[:6], kept.projection_centre[:6])
     assert again.complete
     np.testing.assert_allclose(again.block.exterior.angles[6:], kept.angles[6:], atol=0.02)
+
+
+@pytest.mark.thorough
+@pytest.mark.parametrize("name", ["strasbourg-s4-tie", "camcal-c2-weighted"])
+@pytest.mark.parametrize("way", [Way.RESECTION, Way.GLOBAL])
+def test_measured_blocks_end_at_the_same_sigma0(shared_data, name, way, monkeypatch):
+    given = jb.read(shared_data / name, check_start=False)
+    if way is Way.GLOBAL:  # as if few images showed control
+        monkeypatch.setattr(from_nothing, "MOST", 2.0)
+    found = jb.approximate(without_start(given))
+    assert found.way is way
+    result, expected = (jb.adjust(block, precision=False) for block in (found.block, given))
+    assert result.status.name == "CONVERGED"
+    assert float(result.sigma0) == pytest.approx(float(expected.sigma0), rel=1e-9)

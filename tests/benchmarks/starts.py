@@ -56,9 +56,10 @@ def main() -> None:
                 )
             named.append(found.suspect_rays[truth.wrong].mean() if truth.wrong.any() else 1.0)
             false.append(found.suspect_rays[~truth.wrong].mean())
+        rays = f"wrong rays named {100 * np.mean(named):.1f} %, right rays named {100 * np.mean(false):.1f} %"
         print(
-            f"{kind}: {good} of {options.blocks} succeed, silent {silent}; wrong rays named"
-            f" {100 * np.mean(named):.1f} %, right rays named {100 * np.mean(false):.1f} %; {spent / options.blocks:.2f} s of processor time per block",
+            f"{kind}: {good} of {options.blocks} succeed, silent {silent}; {rays};"
+            f" {spent / options.blocks:.2f} s of processor time per block",
             flush=True,
         )
 
