@@ -17,7 +17,14 @@ from typing import TYPE_CHECKING, Any
 if TYPE_CHECKING:
     from jaxbundle import planning
     from jaxbundle.approximate.absolute_orientation import AbsoluteOrientation, absolute_orientation
+    from jaxbundle.approximate.approximation import Approximation
+    from jaxbundle.approximate.direct_linear_transformation import (
+        DirectLinearTransformation,
+        direct_linear_transformation,
+    )
+    from jaxbundle.approximate.from_nothing import approximate
     from jaxbundle.approximate.intersection import intersect
+    from jaxbundle.approximate.planar_resection import PlanarResection, planar_resection
     from jaxbundle.approximate.relative_orientation import RelativeOrientation, relative_orientation
     from jaxbundle.approximate.resection import Resection, resection
     from jaxbundle.approximate.three_point_resection import ThreePointResection, three_point_resection
@@ -102,6 +109,10 @@ if TYPE_CHECKING:
 __version__ = "0.1.0"
 
 _MODULES = {
+    "approximate.approximation": ("Approximation",),
+    "approximate.direct_linear_transformation": ("DirectLinearTransformation", "direct_linear_transformation"),
+    "approximate.from_nothing": ("approximate",),
+    "approximate.planar_resection": ("PlanarResection", "planar_resection"),
     "approximate.absolute_orientation": ("AbsoluteOrientation", "absolute_orientation"),
     "approximate.intersection": ("intersect",),
     "approximate.relative_orientation": ("RelativeOrientation", "relative_orientation"),
@@ -201,6 +212,7 @@ __all__ = [
     "Adjustment",
     "AerialCamera",
     "AngleRule",
+    "Approximation",
     "Batch",
     "Block",
     "BlockError",
@@ -211,6 +223,7 @@ __all__ = [
     "Danish",
     "Datum",
     "DatumDefect",
+    "DirectLinearTransformation",
     "ExteriorOrientation",
     "FiducialError",
     "Finding",
@@ -224,6 +237,7 @@ __all__ = [
     "Outcome",
     "Parameter",
     "PlanHeight",
+    "PlanarResection",
     "PointRule",
     "Prediction",
     "Problem",
@@ -250,6 +264,7 @@ __all__ = [
     "adjust_models",
     "adjust_strips",
     "all_control",
+    "approximate",
     "camera_rays",
     "collinearity",
     "control_influence",
@@ -259,6 +274,7 @@ __all__ = [
     "crosscheck",
     "curvature_coefficient",
     "datum_defect",
+    "direct_linear_transformation",
     "error_ellipses",
     "export",
     "error_ellipsoids",
@@ -274,6 +290,7 @@ __all__ = [
     "parallax_rule",
     "planning",
     "plan_height",
+    "planar_resection",
     "plausibility",
     "predict",
     "prepared",

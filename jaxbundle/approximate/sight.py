@@ -63,18 +63,33 @@ class Sight(NamedTuple):
 def sight_of(block: Block) -> Sight:
     """The rays of a block whose values are concrete."""
     structure, unknowns = block.structure, unknowns_of(block)
-    rays, size = len(structure.ray_image), grid_size(len(structure.ray_image))
+    plane = _plane(block, np.asarray(block.rays.coordinates))
+    camera = structure.image_camera[structure.ray_image]
+    rotation = np.asarray(unknowns.rotation).T.reshape(-1, 3, 3)
+    centre, points = np.asarray(block.exterior.projection_centre), np.asarray(block.object_points)
+    field = _fields(plane, camera, structure.image_camera)
+    return Sight(structure.ray_image, structure.ray_point, plane, rotation, centre, points, _known(block), field)
+
+
+def _plane(block: Block, measured: Float[np.ndarray, "ray 2"]) -> Float[np.ndarray, "ray 2"]:
+    """a and b of the photo vectors of points measured where the rays of a block are."""
+    structure, rays = block.structure, len(measured)
+    size = grid_size(rays)
     coordinates, camera = np.zeros((2, size)), np.zeros(size, np.int32)
-    coordinates[:, :rays] = np.asarray(block.rays.coordinates).T
+    coordinates[:, :rays] = measured.T
     camera[:rays] = structure.image_camera[structure.ray_image]
     if rays:  # padded by rays of the block: of another point the correction of a distortion might not converge
         coordinates[:, rays:], camera[rays:] = coordinates[:, :1], camera[0]
-    plane = _planes(structure.model, unknowns.interior, on_device(camera), on_device(coordinates), optimised=False)
-    plane = np.asarray(plane)[:, :rays].T
-    rotation = np.asarray(unknowns.rotation).T.reshape(-1, 3, 3)
-    centre, points = np.asarray(block.exterior.projection_centre), np.asarray(block.object_points)
-    field = _fields(plane, camera[:rays], structure.image_camera)
-    return Sight(structure.ray_image, structure.ray_point, plane, rotation, centre, points, _known(block), field)
+    interior = unknowns_of(block).interior
+    plane = _planes(structure.model, interior, on_device(camera), on_device(coordinates), optimised=False)
+    return np.asarray(plane)[:, :rays].T
+
+
+def direction_sigmas(block: Block, sight: Sight) -> Float[np.ndarray, " ray"]:
+    """Standard deviations of the directions of the rays in radians, from those of the image coordinates."""
+    sigmas = np.asarray(block.rays.sigmas).mean(1)
+    beside = _plane(block, np.asarray(block.rays.coordinates) + sigmas[:, None] * [1.0, 0.0])
+    return angle_off(sight.plane, np.c_[beside, -np.ones(len(beside))])
 
 
 @Compiled

@@ -78,3 +78,25 @@ def distances(
     y = first @ rotation.T
     a, yt, dt = jnp.sum(y * second, 1), y @ base, second @ base
     return a * dt - yt, dt - a * yt, jnp.sum(jnp.cross(y, second) ** 2, 1)
+
+
+def eight_points(first: Float[Array, "point 2"], second: Float[Array, "point 2"]) -> Float[Array, "3 3"]:
+    """The essential matrix of eight or more pairs of image coordinates, of Frobenius norm sqrt 2 (Hartley 1997).
+
+    (second, 1)^T E (first, 1) = 0 in units of the principal distance. The linear solution, in coordinates of mean 0 and
+    size sqrt 2, has its singular values replaced by a, a, 0. Points in a plane do not determine it.
+    """
+    one, two = _conditioned(first), _conditioned(second)
+    rows = (two[0][:, :, None] * one[0][:, None, :]).reshape(-1, 9)
+    e = jnp.linalg.svd(rows)[2][-1].reshape(3, 3)
+    e = two[1].T @ e @ one[1]
+    u, _, vt = jnp.linalg.svd(e)
+    return (u * jnp.array([1.0, 1.0, 0.0])) @ vt
+
+
+def _conditioned(xy: Float[Array, "point 2"]) -> tuple[Float[Array, "point 3"], Float[Array, "3 3"]]:
+    """Homogeneous coordinates about their mean, of size sqrt 2, and the matrix that makes them."""
+    mean = xy.mean(0)
+    scale = jnp.sqrt(2.0) / jnp.sqrt(jnp.mean(jnp.sum((xy - mean) ** 2, 1)))
+    matrix = jnp.eye(3).at[0, 0].set(scale).at[1, 1].set(scale).at[:2, 2].set(-scale * mean)
+    return jnp.concatenate([xy, jnp.ones((xy.shape[0], 1))], 1) @ matrix.T, matrix

@@ -38,8 +38,11 @@ class Kind(Enum):
     CONTROL_SYSTEM = "control and approximate values in different systems", Severity.FAILED
     NOT_USED = "control or stations given and not used", Severity.FAILED
     PARTS = "block in several parts", Severity.FAILED
+    LOOSE = "images without orientation", Severity.FAILED
+    ASSUMED = "assumption of the start", Severity.CHECK
     START = "implausible approximate values", Severity.CHECK
     REPAIRED = "approximate values replaced", Severity.NOTE
+    APPROXIMATED = "approximate values found", Severity.NOTE
     # who causes it
     SYSTEMATIC = "group that disagrees as a whole", Severity.CHECK
     SUSPECT = "suspect observation", Severity.CHECK

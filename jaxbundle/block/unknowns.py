@@ -176,3 +176,9 @@ def angle_derivatives(
     zero = jnp.zeros_like(matrix[0])
     small = _columns(lambda *k: angles_near(_small_rotation(tuple(matrix), *k), reference, system), (zero, zero, zero))
     return small if in_angles is None else jnp.where(in_angles, jnp.eye(3)[:, :, None], small)
+
+
+def without_orientation(block: Block) -> Bool[np.ndarray, " image"]:
+    """Images of a concrete block that lack a coordinate of the projection centre or an angle."""
+    exterior = np.c_[on_host(block.exterior.projection_centre), on_host(block.exterior.angles)]
+    return ~np.isfinite(exterior).all(1)

@@ -57,7 +57,14 @@ def _unusable_values(block: Block) -> list[Problem]:
     images = [f"image {name}" for name in structure.image_names]
     tables = [
         ("cameras", block.interior.elements, cameras, no_number, "give the camera its interior elements"),
-        ("images", orientations, images, no_number, "give the image approximate values"),
+        (
+            "images",
+            orientations,
+            images,
+            "has no orientation",
+            "measure at least 8 points on it that other images show, give it approximate values, or call"
+            " jb.approximate(block)",
+        ),
         ("rays", block.rays.coordinates, None, no_number, "give both image coordinates or drop the ray"),
         *((g.structure.kind.table, g.values, None, no_number, "give the value or drop the row") for g in block.groups),
     ]

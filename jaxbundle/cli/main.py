@@ -315,6 +315,24 @@ def adjust(
 
 
 @app.command()
+def approximate(
+    path: Block,
+    out: Annotated[
+        Path | None,
+        typer.Option("--out", "-o", help="Block folder of the result (default: NAME-approximate).", show_default=False),
+    ] = None,
+    anew: Annotated[
+        bool, typer.Option("--anew", help="Find orientations and points anew that are given; what is held stays.")
+    ] = False,
+) -> None:
+    """Find approximate orientations and points from the rays, and write the block with them.
+
+    Exit codes: 0 all images are oriented in one system; 1 some are not, or there are parts; 2 bad input.
+    """
+    raise typer.Exit(_loaded("approximating").run(path, out, anew))
+
+
+@app.command()
 def check_partials(draws: Annotated[int, typer.Option(min=1, help="Random rays.")] = 100_000) -> None:
     """Check the textbook's 18 partials against automatic derivatives."""
     raise typer.Exit(_loaded("partials").run(draws))

@@ -6,11 +6,14 @@ absurd, orientations and control are not judged by them.
 
 import numpy as np
 
+from jaxbundle.approximate.from_nothing import with_images_replaced
 from jaxbundle.approximate.sight import sight_of
 from jaxbundle.approximate.start import checked_start
+from jaxbundle.approximate.start_findings import found_orientations
 from jaxbundle.block.block import Block
 from jaxbundle.block.findings import Finding, Severity, in_order
 from jaxbundle.block.magnitudes import repeated_rows
+from jaxbundle.block.unknowns import without_orientation
 from jaxbundle.diagnosis.approximations import mirrored_finding, start_findings, two_roles
 from jaxbundle.diagnosis.image_format import format_findings
 from jaxbundle.diagnosis.interior import interior_findings
@@ -25,6 +28,8 @@ def plausibility(block: Block) -> tuple[Finding, ...]:
 def prepared(block: Block) -> tuple[Block, tuple[Finding, ...]]:
     """The block with a start that is checked, and all that was found: implausible numbers, and what was replaced.
 
+    Orientations that are not given are found from the rays.
+
     Approximate values are replaced only where the numbers they are judged by are plausible themselves.
     """
     if not block.concrete or not len(block.structure.ray_image) or not block.structure.model.photographs:
@@ -33,6 +38,12 @@ def prepared(block: Block) -> tuple[Block, tuple[Finding, ...]]:
         findings = [*format_findings(block), *interior_findings(block), *two_roles(block), *repeated_rows(block)]
         if any(finding.severity is Severity.FAILED for finding in findings):
             return block, in_order(findings)
+        if without_orientation(block).any():
+            found = with_images_replaced(block, np.zeros(len(block.structure.image_names), bool))
+            block = found.block
+            findings += [*found.findings, *found_orientations(found)]
+            if found.loose:
+                return block, in_order(findings)
         sight = sight_of(block)
         mirror = mirrored_finding(block, sight)
         if mirror is not None:

@@ -24,6 +24,7 @@ from jaxbundle.block.block import (
 from jaxbundle.block.changes import with_findings
 from jaxbundle.block.datum_defect import datum_defect
 from jaxbundle.block.problems import BlockError, Problem, shown
+from jaxbundle.block.unknowns import without_orientation
 from jaxbundle.block.validate import validate, weaknesses
 from jaxbundle.block.wording import RADIANS
 from jaxbundle.diagnosis.before import prepared
@@ -43,7 +44,7 @@ from jaxbundle.io.unused import unused
 def read_block_folder(path: str | Path, *, check_start: bool = True) -> Block:
     """The block of a folder; points without approximate coordinates are intersected.
 
-    `check_start`: as for `read`.
+    `check_start`: as for `read`. Without it orientations that are not given are NaN, as `approximate` takes them.
 
     Raises: BlockError with all that is wrong.
     """
@@ -70,10 +71,12 @@ def block_of(
     block = _block(folder, toml, settings, tables, noted)
     if noted:
         problems = weaknesses(block)
-    else:
+    elif check_start or not without_orientation(block).any():
         block = intersect(block)
         block, problems = with_figures(with_findings(*prepared(block)) if check_start else block)
         problems = problems or validate(block) or _wrong_elements(block, settings.datum)
+    else:
+        problems = weaknesses(block)
     told_of(problems, block, toml, tables, noted)
     if noted:
         raise noted.error()

@@ -105,7 +105,7 @@ _SCHEMAS = (
         "images",
         "image {image}",
         (*_columns("image camera X0 Y0 Z0"), *_columns("{0} {1} {2}", empty=APPROXIMATE)),
-        "approximate values",
+        "approximate values; an empty centre or attitude is found from the rays",
     ),
     TableSchema(
         "rays",

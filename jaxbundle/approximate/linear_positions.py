@@ -1,0 +1,142 @@
+"""Positions of images and points from rays whose directions in space are known: one linear problem.
+
+    sum w_ip |(I - g g^T)(X_p - C_i)|^2 = min,        g = A_i^T d_ip,        w_ip = rho_ip / (sigma_ip distance_ip)^2
+
+The points are eliminated, as in the adjustment. Of the reduced matrix S three directions are shifts; the eigenvector of
+the smallest other eigenvalue has the positions, up to the scale. The second smallest tells how well they are
+determined: where it is as small, a part has a scale of its own. The distances are renewed with every pass, and rays
+that do not fit lose their weight (rho).
+"""
+
+from typing import NamedTuple
+
+import numpy as np
+import scipy.sparse
+from jaxtyping import Float, Int
+from scipy.sparse.linalg import splu
+
+PASSES = 4
+ITERATIONS = 12  # of the inverse iteration
+VECTORS = 3
+RIDGE = 1e-11  # of the mean diagonal
+NEAR = 0.1  # of the median distance: a point that falls into a camera would weigh more than all others
+FIT = 4.0  # standard deviations at which a ray has half of its weight
+NARROW = 9.0  # squared standard deviations of a direction
+BEHIND = 1e-4  # weight of a ray to a point behind its image
+RAYS = 60  # of an image: more do not improve a start
+
+
+class Positions(NamedTuple):
+    """Projection centres in units of the block; `eigenvalues`: the smallest two that are no shifts."""
+
+    centre: Float[np.ndarray, "image 3"]
+    eigenvalues: Float[np.ndarray, "2"]
+    in_front: float
+    """Share of the rays whose points lie in front of their images."""
+    sine: Float[np.ndarray, " ray"]
+    """Sines of the angles between rays and their points."""
+
+
+class Lines(NamedTuple):
+    """Rays with directions in space; images and points are numbered without gaps."""
+
+    image: Int[np.ndarray, " ray"]
+    point: Int[np.ndarray, " ray"]
+    along: Float[np.ndarray, "ray 3"]
+    sigma: Float[np.ndarray, " ray"]
+    weight: Float[np.ndarray, " ray"]
+    """What the ray is believed before, between 0 and 1."""
+    images: int
+    points: int
+
+
+def chosen_points(
+    image: Int[np.ndarray, " ray"], point: Int[np.ndarray, " ray"], weight: Float[np.ndarray, " ray"], points: int
+) -> Int[np.ndarray, " chosen"]:
+    """Points by which positions are found: those with most believed rays first, until every image has enough."""
+    rng = np.random.default_rng(0)
+    count = np.bincount(point, weight, points)
+    rank = np.empty(points)
+    # points with the same number of rays mix, so that they do not come from one corner
+    rank[np.lexsort((rng.random(points), -np.minimum(np.round(count), 8)))] = np.arange(points)
+    good = (weight > 0.5) & (count[point] >= 1.5)
+    ray_image, ray_point = image[good], point[good]
+    order = np.lexsort((rank[ray_point], ray_image))
+    number = np.bincount(ray_image)
+    place = np.arange(len(order)) - (np.cumsum(number) - number)[ray_image[order]]
+    return np.unique(ray_point[order[place < RAYS]])
+
+
+def positions(lines: Lines) -> Positions:
+    """The positions in which all lines meet best."""
+    across = np.eye(3) - lines.along[:, :, None] * lines.along[:, None, :]
+    distance, fit = np.ones(len(lines.image)), lines.weight
+    for _ in range(PASSES):
+        weight = fit * lines.weight / (distance * lines.sigma / lines.sigma.min()) ** 2
+        centre, values, points = _smallest(lines, weight[:, None, None] * across)
+        vector = points[lines.point] - centre[lines.image]
+        depth = (vector * lines.along).sum(1)
+        if (lines.weight * np.sign(depth)).sum() < 0:
+            centre, vector, depth = -centre, -vector, -depth
+        distance = np.linalg.norm(vector, axis=1)
+        sine = np.linalg.norm(np.cross(vector, lines.along), axis=1) / np.maximum(distance, 1e-300)
+        distance = np.maximum(distance, NEAR * np.median(distance))
+        scale = np.maximum(lines.sigma, _typical(sine, lines.weight)) * FIT
+        fit = np.where(depth > 0, 1 / (1 + (sine / scale) ** 2), BEHIND)
+    believed = lines.weight > 0.5
+    return Positions(centre, values, float((depth[believed] > 0).mean()), np.where(depth > 0, sine, 1.0))
+
+
+def _typical(sine: Float[np.ndarray, " ray"], weight: Float[np.ndarray, " ray"]) -> float:
+    believed = sine[weight > 0.5]
+    return float(1.4826 * np.median(believed)) if len(believed) else 0.0
+
+
+def _smallest(
+    lines: Lines, weighted: Float[np.ndarray, "ray 3 3"]
+) -> tuple[Float[np.ndarray, "image 3"], Float[np.ndarray, "2"], Float[np.ndarray, "point 3"]]:
+    """Centres of norm sqrt(images), the two smallest eigenvalues over the mean diagonal, and the points."""
+    v = _added(weighted, lines.point, lines.points)
+    trace = np.einsum("pii->p", v)
+    flat = np.linalg.eigvalsh(v)[:, 0] < NARROW * lines.sigma.min() ** 2 * trace
+    if flat.any():  # rays as good as parallel: such a point tells nothing, but rounding would
+        weighted = np.where(flat[lines.point][:, None, None], 0.0, weighted)
+        v, trace = np.where(flat[:, None, None], np.eye(3), v), np.where(flat, 3.0, trace)
+    v += (1e-12 * trace + 1e-300)[:, None, None] * np.eye(3)
+    factor = np.linalg.cholesky(v)
+    half = np.linalg.solve(factor, np.broadcast_to(np.eye(3), v.shape))  # L^-1
+    e = weighted @ half[lines.point].swapaxes(1, 2)
+    order = np.lexsort((lines.point, lines.image))
+    starts = np.searchsorted(lines.image[order], np.arange(lines.images + 1))
+    blocks = scipy.sparse.bsr_matrix(
+        (e[order], lines.point[order], starts), (3 * lines.images, 3 * lines.points), blocksize=(3, 3)
+    )
+    u = _added(weighted, lines.image, lines.images)
+    number = np.arange(lines.images + 1)
+    diagonal = scipy.sparse.bsr_matrix((u, number[:-1], number), (3 * lines.images,) * 2, blocksize=(3, 3))
+    reduced = (diagonal - blocks @ blocks.T.tobsr((3, 3))).tocsc()
+    size = reduced.diagonal().mean()
+    ridge = scipy.sparse.identity(3 * lines.images, format="csc") * (RIDGE * size)
+    solver = splu((reduced + ridge).tocsc(), permc_spec="MMD_AT_PLUS_A", options={"SymmetricMode": True})
+    x = np.random.default_rng(0).normal(size=(lines.images, 3, VECTORS))
+    for _ in range(ITERATIONS):
+        x = _orthonormal(x)
+        x = solver.solve(x.reshape(-1, VECTORS)).reshape(x.shape)
+    x = _orthonormal(x).reshape(-1, VECTORS)
+    values, vectors = np.linalg.eigh(x.T @ (reduced @ x))
+    centre = (x @ vectors[:, 0]).reshape(-1, 3) * np.sqrt(lines.images)
+    sums = _added(np.einsum("rij,rj->ri", weighted, centre[lines.image]), lines.point, lines.points)
+    points = np.einsum("pji,pjk,pk->pi", half, half, sums)
+    return centre, values[:2] / size, points
+
+
+def _orthonormal(x: Float[np.ndarray, "image 3 vector"]) -> Float[np.ndarray, "image 3 vector"]:
+    """Without shifts, and orthonormal."""
+    x = x - x.mean(0)
+    return np.linalg.qr(x.reshape(-1, x.shape[2]))[0].reshape(x.shape)
+
+
+def _added(values: np.ndarray, of: Int[np.ndarray, " ray"], count: int) -> np.ndarray:
+    """Sums over the rays of each image or point."""
+    flat = values.reshape(len(values), -1)
+    return np.stack([np.bincount(of, column, count) for column in flat.T], 1).reshape(count, *values.shape[1:])

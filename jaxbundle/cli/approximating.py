@@ -1,0 +1,29 @@
+"""`jaxbundle approximate`: a block in, the same block with approximate values out."""
+
+from pathlib import Path
+
+import typer
+
+from jaxbundle.approximate.from_nothing import approximate
+from jaxbundle.block.changes import with_findings
+from jaxbundle.block.unknowns import without_orientation
+from jaxbundle.cli.codes import Code
+from jaxbundle.io import read, write_block_folder
+
+
+def run(path: Path, out: Path | None, anew: bool) -> int:
+    """Finds approximate values, prints the steps and what was found, and writes a block folder; the exit code.
+
+    Raises: BlockError or OSError for bad input; FileExistsError where the output exists.
+    """
+    folder = out or Path(f"{path.resolve().stem}-approximate")
+    if folder.exists():
+        raise FileExistsError(f"{folder} exists; give another name")
+    found = approximate(read(path, check_start=False), anew=anew)
+    typer.echo(found.summary())
+    if without_orientation(found.block).all():
+        typer.echo("No image could be oriented: no block is written")
+        return Code.NOT_TRUSTED
+    write_block_folder(with_findings(found.block, found.findings), folder)
+    typer.echo(f"Block: {folder}")
+    return Code.ADJUSTED if found.complete else Code.NOT_TRUSTED
