@@ -17,72 +17,35 @@ import typer
 from jaxbundle.cli import codes, planning
 from jaxbundle.cli.cluster import Cluster, cluster_of
 from jaxbundle.cli.interruption import Interruption
+from jaxbundle.cli.options import (
+    Block,
+    Blocks,
+    Chunk,
+    Control,
+    Form,
+    Interior,
+    Out,
+    PixelSize,
+    Sigmas,
+    Size,
+    Stations,
+)
 from jaxbundle.cli.told import Told
 
-_METHOD, _SOLVER, _CLUSTER = "Method", "Solver", "Cluster"  # headings in the help
+_METHOD, _SOLVER = "Method", "Solver"  # headings in the help of adjust
+_CLUSTER = "Cluster: one block on several machines"
+_WORK, _LEARN, _CHECK = "Adjust", "Learn and start", "Check the program"  # headings in the list of commands
 _HELP = {"help_option_names": ["-h", "--help"]}
 
 app = typer.Typer(
     no_args_is_help=True,
     pretty_exceptions_enable=False,
     context_settings=_HELP,
-    help="Photogrammetric bundle adjustment with derivatives through everything.",
+    help="Photogrammetric bundle adjustment with the precision and the reliability of every result.\n\n"
+    "Start: jaxbundle new quarry, then jaxbundle adjust quarry. Pages: jaxbundle docs.",
 )
 
 app.add_typer(planning.app, name="plan")
-
-_A_BLOCK = "a block folder, a BAL file, or a project of another program, told apart by content"
-Block = Annotated[Path, typer.Argument(metavar="PATH", help=f"{_A_BLOCK.capitalize()}.", show_default=False)]
-Blocks = Annotated[list[Path], typer.Argument(metavar="PATH", help=f"Blocks: each {_A_BLOCK}.", show_default=False)]
-_SOURCES = "Projects of other programs"
-Form = Annotated[
-    str,
-    typer.Option(
-        "--format", help="The format of PATH, where its content fits several.", rich_help_panel=_SOURCES, metavar="NAME"
-    ),
-]
-Control = Annotated[
-    Path | None,
-    typer.Option(help="Control: gcp_list.txt, or a table point,X,Y,Z,sX,sY,sZ.", rich_help_panel=_SOURCES),
-]
-Stations = Annotated[
-    Path | None,
-    typer.Option(help="Observed projection centres: geo.txt, or a folder with photographs.", rich_help_panel=_SOURCES),
-]
-Sigmas = Annotated[
-    str,
-    typer.Option(
-        metavar="PLAN,HEIGHT", help="Standard deviations of a table that has none, in m.", rich_help_panel=_SOURCES
-    ),
-]
-Size = Annotated[
-    str,
-    typer.Option(
-        metavar="W,H", help="True size of the images in px, of formats that do not have it.", rich_help_panel=_SOURCES
-    ),
-]
-Interior = Annotated[
-    str,
-    typer.Option(
-        metavar="F,X0,Y0", help="Interior orientation in px, of formats that do not have it.", rich_help_panel=_SOURCES
-    ),
-]
-PixelSize = Annotated[
-    float | None,
-    typer.Option(
-        metavar="MM", help="Size of a pixel, of image coordinates in mm without one.", rich_help_panel=_SOURCES
-    ),
-]
-Chunk = Annotated[str, typer.Option(help="Label of the chunk of a Metashape project.", rich_help_panel=_SOURCES)]
-Out = Annotated[
-    Path | None,
-    typer.Option(
-        "--out",
-        "-o",
-        help="Folder of the results (default: NAME-adjusted; of several blocks adjustments, with a folder for each).",
-        show_default=False,
-    ),
-]
 
 
 def main() -> None:
@@ -119,11 +82,11 @@ def options(
     """Options of all commands."""
 
 
-@app.command()
+@app.command(rich_help_panel=_WORK)
 def adjust(
     paths: Blocks,
     out: Out = None,
-    jobs: Annotated[int, typer.Option(min=1, help="Processes that share several blocks and the cores.")] = 1,
+    jobs: Annotated[int, typer.Option(min=1, help="Number of processes that adjust several blocks in parallel.")] = 1,
     show: Annotated[
         list[Path] | None,
         typer.Option(
@@ -134,11 +97,18 @@ def adjust(
             show_default=False,
         ),
     ] = None,
-    hold_interior: Annotated[bool, typer.Option("--hold-interior", help="Hold the interior of all cameras.")] = False,
-    no_precision: Annotated[bool, typer.Option("--no-precision", help="No standard deviations.")] = False,
+    hold_interior: Annotated[
+        bool, typer.Option("--hold-interior", help="Keep the interior orientation of all cameras fixed.")
+    ] = False,
+    no_precision: Annotated[
+        bool, typer.Option("--no-precision", help="Compute no standard deviations, which saves time.")
+    ] = False,
     robust: Annotated[
         Literal["huber", "cauchy", "tukey", "danish"] | None,
-        typer.Option(help="Weight function that takes the weight of gross errors in the rays.", show_default=False),
+        typer.Option(
+            help="Robust adjustment: the weight function that down-weights gross errors of image coordinates.",
+            show_default=False,
+        ),
     ] = None,
     robust_limit: Annotated[
         float | None,
@@ -150,7 +120,9 @@ def adjust(
     ] = None,
     checkpoint: Annotated[
         Path | None,
-        typer.Option(help="File that keeps the state after every accepted iteration; if it exists, go on from it."),
+        typer.Option(
+            help="File for the state after every accepted iteration; if it exists, the adjustment resumes from it."
+        ),
     ] = None,
     method: Annotated[
         Literal["bundle", "models", "strips", "levenberg-marquardt", "gauss-newton"],
@@ -190,13 +162,13 @@ def adjust(
         typer.Option(
             rich_help_panel=_SOLVER,
             help="Stopping rule: angle between the residuals and the tangent plane; largest change of a point"
-            " coordinate; fall of the largest y-parallax; largest change of the unknowns named.",
+            " coordinate; decrease of the largest y-parallax; largest change of the named unknowns.",
         ),
     ] = "angle",
     limit: Annotated[
         float | None,
         typer.Option(
-            help="Limit of the stopping rule: object unit for points, share of the principal distance for parallax,"
+            help="Limit of the stopping rule: object unit for points, fraction of the principal distance for parallax,"
             " unit of the unknown (angles in radians); default: 1e-8 for angle.",
             show_default=False,
             rich_help_panel=_SOLVER,
@@ -213,28 +185,31 @@ def adjust(
     ] = 200,
     engine: Annotated[
         Literal["block", "jaxopt"],
-        typer.Option(help="jaxopt: a second opinion on small blocks.", rich_help_panel=_SOLVER),
+        typer.Option(help="jaxopt: an independent solver for small blocks, to compare.", rich_help_panel=_SOLVER),
     ] = "block",
     reduced: Annotated[
         Literal["auto", "dense", "panels", "pcg"],
-        typer.Option(help="How the reduced equations are solved; pcg needs --no-precision.", rich_help_panel=_SOLVER),
+        typer.Option(
+            help="How the reduced normal equations are solved; pcg needs --no-precision.", rich_help_panel=_SOLVER
+        ),
     ] = "auto",
     coordinator: Annotated[
         str | None,
         typer.Option(
             metavar="HOST:PORT",
-            help="Address of process 0 of a cluster, the same for all, in a trusted network; auto: as Slurm, Open MPI"
-            " or Kubernetes say.",
+            help="Address of process 0 of a cluster, the same for all, in a trusted network; auto: taken from Slurm,"
+            " Open MPI or Kubernetes.",
             show_default=False,
             rich_help_panel=_CLUSTER,
         ),
     ] = None,
     processes: Annotated[
-        int | None, typer.Option(help="Processes of the cluster.", show_default=False, rich_help_panel=_CLUSTER)
+        int | None,
+        typer.Option(help="Number of processes of the cluster.", show_default=False, rich_help_panel=_CLUSTER),
     ] = None,
     process: Annotated[
         int | None,
-        typer.Option(help="Number of this process, from 0 on.", show_default=False, rich_help_panel=_CLUSTER),
+        typer.Option(help="Number of this process, starting at 0.", show_default=False, rich_help_panel=_CLUSTER),
     ] = None,
     form: Form = "",
     control: Control = None,
@@ -246,9 +221,9 @@ def adjust(
     interior: Interior = "",
     pixel_size: PixelSize = None,
 ) -> None:
-    """Adjust blocks and write their reports and tables.
+    """Adjust one or several blocks and write their reports and tables.
 
-    Exit codes, of several blocks the largest:
+    Exit codes, for several blocks the largest:
     0 adjusted and trustworthy;
     1 adjusted, but not to be trusted (the first lines say why);
     2 bad input;
@@ -257,7 +232,7 @@ def adjust(
     130 interrupted before a step was accepted.
 
     Ctrl-C, or SIGTERM, ends the iterations after the current step and keeps the last accepted unknowns; a second one
-    ends at once, without results.
+    stops immediately, without results.
     """
     cluster = cluster_of(coordinator, processes, process)
     if len(paths) > 1 and (checkpoint is not None or cluster is not None):
@@ -314,7 +289,7 @@ def adjust(
     raise typer.Exit(code)
 
 
-@app.command()
+@app.command(rich_help_panel=_WORK)
 def approximate(
     path: Block,
     out: Annotated[
@@ -332,21 +307,43 @@ def approximate(
     raise typer.Exit(_loaded("approximating").run(path, out, anew))
 
 
-@app.command()
-def check_partials(draws: Annotated[int, typer.Option(min=1, help="Random rays.")] = 100_000) -> None:
+@app.command(rich_help_panel=_CHECK)
+def check_partials(draws: Annotated[int, typer.Option(min=1, help="Number of random rays.")] = 100_000) -> None:
     """Check the textbook's 18 partials against automatic derivatives."""
     raise typer.Exit(_loaded("partials").run(draws))
 
 
-@app.command()
+@app.command(rich_help_panel=_LEARN)
 def demo(
     out: Annotated[Path, typer.Option("--out", "-o", help="Folder of the results.")] = Path("jaxbundle-demo"),
 ) -> None:
-    """Simulate a strip and a block with known truth, adjust them and hold the results against the truth."""
+    """Simulate a strip and a block with known truth, adjust them and compare the results with the truth."""
     raise typer.Exit(_loaded("demo").run(out))
 
 
-@app.command()
+def _completed_pages(incomplete: str) -> list[str]:
+    return importlib.import_module("jaxbundle.cli.pages").completed(incomplete)
+
+
+@app.command(rich_help_panel=_LEARN)
+def docs(
+    page: Annotated[
+        str, typer.Argument(metavar="PAGE", help="Name of a page.", autocompletion=_completed_pages)
+    ] = "index",
+) -> None:
+    """Show a page of the documentation; without a name the index, which lists all pages."""
+    importlib.import_module("jaxbundle.cli.pages").show(page)
+
+
+@app.command(rich_help_panel=_LEARN)
+def new(
+    folder: Annotated[Path, typer.Argument(metavar="FOLDER", help="A new or an empty folder.", show_default=False)],
+) -> None:
+    """Write a small block folder with comments, which can be adjusted as it is and changed to your own."""
+    importlib.import_module("jaxbundle.cli.pages").new(folder)
+
+
+@app.command(rich_help_panel=_WORK)
 def convert(
     path: Block,
     out: Annotated[

@@ -341,10 +341,10 @@ def test_adjusted_values_are_written(small: Path, tmp_path: Path) -> None:
     assert_same(block, read_block_folder(tmp_path / "again"))
 
 
-def test_the_readme_shows_a_block_toml(tmp_path: Path) -> None:
+def test_the_page_shows_a_block_toml(tmp_path: Path) -> None:
     """Every key that it shows is known; only the tables of the fiducials are not named."""
-    readme = (Path(__file__).parents[2] / "README.md").read_text(encoding="utf-8")
-    text = readme.partition("```toml\n")[2].partition("```")[0]
+    page = Path(__file__).parents[2] / "jaxbundle" / "docs" / "block-folder.md"
+    text = page.read_text(encoding="utf-8").partition("```toml\n")[2].partition("```")[0]
     (tmp_path / "block.toml").write_text(text, encoding="utf-8")
     noted = Noted()
     assert read_block_toml(tmp_path / "block.toml", noted).settings is not None, str(noted.error())

@@ -16,11 +16,12 @@ from jaxbundle.io import block_tables, read_block_folder, write_block_folder
 from jaxbundle.io.block_tables import TABLES, format_columns, format_tables, table_of_kind
 from jaxbundle.io.schema import Column, Holds, OwnerSchema, TableSchema, Unit
 
-README = Path(__file__).parents[2] / "README.md"
+PAGE = Path(__file__).parents[2] / "jaxbundle" / "docs" / "block-folder.md"
 
 
-def test_readme_describes_the_tables() -> None:
-    assert format_tables() in README.read_text(encoding="utf-8")
+def test_the_page_describes_the_tables() -> None:
+    text = PAGE.read_text(encoding="utf-8")
+    assert format_tables() in text and format_columns() in text
 
 
 def test_every_column_is_described() -> None:
