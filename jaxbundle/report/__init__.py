@@ -2,6 +2,7 @@
 
 from jaxbundle.report.data import report_dict
 from jaxbundle.report.files import write_report
+from jaxbundle.report.html import report_html, write_html
 from jaxbundle.report.text import report_text
 
-__all__ = ["report_dict", "report_text", "write_report"]
+__all__ = ["report_dict", "report_html", "report_text", "write_html", "write_report"]

@@ -11,6 +11,7 @@ from jaxbundle.block.findings import Finding, Kind, Severity, of_kind
 from jaxbundle.block.wording import counted
 from jaxbundle.normals.pcg import TOLERANCE
 from jaxbundle.numerics.host import array_module, is_concrete, on_device, on_host
+from jaxbundle.solve.history import History
 from jaxbundle.solve.options import Options
 from jaxbundle.solve.status import Status
 from jaxbundle.solve.weight_functions import with_weights
@@ -25,7 +26,7 @@ DOWN_WEIGHTED = 0.5  # a robust weight below which a ray is listed
 
 class Iterations(NamedTuple):
     """How the solve went. `measure` is the stopping rule's number at the last accepted step; `step`, |J d| / |v| of
-    the last one if it was not damped, else 0."""
+    the last one if it was not damped, else 0. `history`: every iteration; empty where the engine does not tell them."""
 
     status: Int[Array, ""]
     trials: Int[Array, ""]
@@ -34,6 +35,7 @@ class Iterations(NamedTuple):
     final_cost: Float[Array, ""]
     measure: Float[Array, ""]
     step: Float[Array, ""]
+    history: History
 
 
 class BlockCofactors(NamedTuple):
