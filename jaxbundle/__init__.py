@@ -59,7 +59,17 @@ if TYPE_CHECKING:
     from jaxbundle.io import read, read_bal, read_block_folder, write_bal, write_block_folder
     from jaxbundle.planning.flight import AerialCamera
     from jaxbundle.planning.simulate import Simulation, simulate
-    from jaxbundle.report import report_dict, report_text, write_report
+    from jaxbundle.report import (
+        compare_reports,
+        congruency,
+        plot,
+        report_dict,
+        report_html,
+        report_text,
+        to_ply,
+        write_html,
+        write_report,
+    )
     from jaxbundle.solve.adjust import Progress, adjust
     from jaxbundle.solve.adjustment import Adjustment, Status
     from jaxbundle.solve.batch import Batch, Outcome, adjust_many
@@ -131,7 +141,16 @@ _MODULES = {
     "io": ("read", "read_bal", "read_block_folder", "write_bal", "write_block_folder"),
     "planning.flight": ("AerialCamera",),
     "planning.simulate": ("Simulation", "simulate"),
-    "report": ("report_dict", "report_text", "write_report"),
+    "report": (
+        "compare_reports",
+        "congruency",
+        "report_dict",
+        "report_html",
+        "report_text",
+        "to_ply",
+        "write_html",
+        "write_report",
+    ),
     "solve.adjust": ("Progress", "adjust"),
     "solve.adjustment": ("Adjustment", "Status"),
     "solve.batch": ("Batch", "Outcome", "adjust_many"),
@@ -156,6 +175,7 @@ _MODULES = {
     ),
     "textbook": ("crosscheck",),
 }
+_SUBMODULES = {"plot": "report.plot"}  # namespaces of their own, which may need packages that are not there
 _HOME = {name: module for module, names in _MODULES.items() for name in names}
 
 __all__ = [
@@ -216,6 +236,8 @@ __all__ = [
     "all_control",
     "camera_rays",
     "collinearity",
+    "compare_reports",
+    "congruency",
     "control_influence",
     "control_point",
     "control_rays",
@@ -236,6 +258,7 @@ __all__ = [
     "observations_of_kind",
     "parallax_rule",
     "plausibility",
+    "plot",
     "prepared",
     "read",
     "read_bal",
@@ -244,6 +267,7 @@ __all__ = [
     "relative_orientation",
     "reliability",
     "report_dict",
+    "report_html",
     "report_text",
     "resection",
     "simulate",
@@ -251,6 +275,7 @@ __all__ = [
     "three_groups",
     "three_point_resection",
     "tie_rays",
+    "to_ply",
     "unknown_rule",
     "validate",
     "variance_components",
@@ -259,6 +284,7 @@ __all__ = [
     "with_interior_held",
     "write_bal",
     "write_block_folder",
+    "write_html",
     "write_report",
 ]
 
@@ -268,6 +294,8 @@ def __dir__() -> list[str]:
 
 
 def __getattr__(name: str) -> Any:
+    if name in _SUBMODULES:
+        return importlib.import_module(f"jaxbundle.{_SUBMODULES[name]}")
     if name not in _HOME:
         raise AttributeError(f"module 'jaxbundle' has no attribute {name!r}")
     return getattr(importlib.import_module(f"jaxbundle.{_HOME[name]}"), name)

@@ -2,6 +2,8 @@
 
 import dataclasses
 import math
+import shlex
+import sys
 from collections.abc import Callable
 from pathlib import Path
 from typing import NamedTuple
@@ -21,6 +23,7 @@ from jaxbundle.diagnosis.adjusted import findings
 from jaxbundle.io import read
 from jaxbundle.numerics.devices import is_first_process
 from jaxbundle.report.files import require_place, rescue, write_report
+from jaxbundle.report.made import Made, input_files, made_now
 from jaxbundle.report.text import wrapped
 from jaxbundle.solve.adjust import Progress, adjust
 from jaxbundle.solve.adjustment import Adjustment
@@ -73,6 +76,7 @@ def adjust_path(path: Path, folder: Path, wanted: Wanted, lines: ProgressLines, 
     stop.begin()
     with lines.phase("reading"):
         block = read(path)
+        made = made_now(shlex.join(["jaxbundle", *sys.argv[1:]]), input_files(path)) if is_first_process() else None
     block = with_interior_held(block) if wanted.hold_interior else block
     options = dataclasses.replace(wanted.options, stop=stopping_rule(block, wanted))
     if is_first_process():
@@ -92,7 +96,7 @@ def adjust_path(path: Path, folder: Path, wanted: Wanted, lines: ProgressLines, 
     if not is_first_process():
         return outcome._replace(folder=None)
     with lines.phase("writing"):
-        return _written(outcome)
+        return _written(outcome, made)
 
 
 def _judged(outcome: Outcome, block: Block) -> Outcome:
@@ -103,11 +107,11 @@ def _judged(outcome: Outcome, block: Block) -> Outcome:
         return outcome._replace(code=Code.UNEXPECTED, problem=told(error)[1])
 
 
-def _written(outcome: Outcome) -> Outcome:
+def _written(outcome: Outcome, made: Made | None) -> Outcome:
     """Writes the results; if they cannot be written to their folder, to a temporary one."""
     assert outcome.folder is not None
     try:
-        write_report(outcome.adjustment, outcome.folder, outcome.found)
+        write_report(outcome.adjustment, outcome.folder, outcome.found, made)
         return outcome
     except OSError as error:
         code, problem = Code.NOT_WRITTEN, str(error)

@@ -26,10 +26,14 @@ def text_of(figures: Figures, sections: Sequence[Section]) -> str:
     title = f"Adjustment of block {structure.name or '(unnamed)'}"
     lines = [*textwrap.wrap(title, WIDTH), *textwrap.wrap(structure.source, WIDTH)]
     for section in sections:
-        body = [line for part in section.parts for line in _lines(part)]
-        if body:
-            lines += ["", section.title, "-" * len(section.title), *body]
+        lines += section_lines(section)
     return "\n".join(line.rstrip() for line in lines).encode("ascii", "replace").decode() + "\n"
+
+
+def section_lines(section: Section) -> list[str]:
+    """The lines of a section below its heading; none where it has no parts."""
+    body = [line for part in section.parts for line in _lines(part)]
+    return ["", section.title, "-" * len(section.title), *body] if body else []
 
 
 def _lines(part: Facts | ReportTable | str) -> list[str]:

@@ -58,6 +58,8 @@ class Progress(NamedTuple):
     step: float
     accepted: bool
     sigma0: float
+    ended: bool = False
+    """Whether it is the last one: what follows are standard deviations."""
 
 
 def adjust(
@@ -280,4 +282,5 @@ def _iterations(state: State, status: Array, history: History) -> Iterations:
 def _progress(block: Block, state: State, accepted: bool) -> Progress:
     cost = float(state.cost)
     sigma0 = float(np.sqrt(2 * cost / block.redundancy))
-    return Progress(int(state.trials), cost, float(state.used_damping), float(state.step), accepted, sigma0)
+    numbers = cost, float(state.used_damping), float(state.step)
+    return Progress(int(state.trials), *numbers, accepted, sigma0, bool(state.ended))

@@ -48,6 +48,11 @@ def chapters_of(figures: Figures, sections: Iterable[Section]) -> dict[Chapter, 
     return found
 
 
+def chance(probability: float) -> str:
+    """A probability in a sentence."""
+    return "p < 0.0001" if probability < 1e-4 else f"p = {probability:.2g}"
+
+
 def _extra(figures: Figures) -> dict[str, tuple[ReportColumn, ...]]:
     """Columns of the page alone: what the rays tell of an image, and t of check points."""
     found = rays.image_figures(figures)
@@ -135,7 +140,7 @@ def _accuracy(groups: dict[str, vectors.Vectors], unit: str) -> list[str]:
         verdict = "agree" if probability > 0.05 else "do not agree"
         words.append(
             f"Check points and predicted standard deviations {verdict}: sum of t\u00b2 {total:.3g}"
-            f" of {count} differences, p = {probability:.2g} (chi-square, upper tail; limit 0.05)."
+            f" of {count} differences, {chance(probability)} (chi-square, upper tail; limit 0.05)."
         )
     d = check.difference
     ce = vectors.CE90 * root_mean_square(np.hypot(d[:, 0], d[:, 1]))
@@ -202,11 +207,11 @@ def _camera(figures: Figures, c: int) -> str:
     parts, field = [], rays.residual_field(figures, c)
     if len(field.count):
         drawn, factor = drawings.field_drawing(field, f"mean residuals of camera {name}")
-        p = f"{field.probability:.2g}"
+        p = chance(field.probability)
         caption = (
             f"Mean residuals in {len(field.count)} cells of the format, enlarged {factor:g} times; blue: more than"
         )
-        caption += f" 3 of their standard deviations. All zero: p = {p}, correlations between residuals neglected."
+        caption += f" 3 of their standard deviations. All zero: {p}, correlations between residuals neglected."
         parts.append(figure(drawn, caption))
     curve = cameras.distortion(figures, c)
     if curve is not None:

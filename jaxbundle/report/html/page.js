@@ -151,12 +151,14 @@ class Plan {
       pen.strokeStyle = ink("--inner");
       pen.fillStyle = ink("--area");
       pen.lineWidth = 0.7 * r;
+      const shade = Math.min(1, 12 / this.data.outlines.length);  // many images lie above each other
       for (const corners of this.data.outlines) {
         pen.beginPath();
         for (let k = 0; k < corners.length; k += 2) pen.lineTo(...this.project(m, corners[k], corners[k + 1], this.data.level));
         pen.closePath();
+        pen.globalAlpha = shade;
         pen.fill();
-        pen.globalAlpha = 0.4;
+        pen.globalAlpha = Math.max(0.12, 0.4 * shade);
         pen.stroke();
         pen.globalAlpha = 1;
       }

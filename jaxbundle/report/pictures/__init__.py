@@ -6,5 +6,6 @@ vectors     differences at control points and check points, their statistics and
 rays        standardised residuals: histogram, normal quantiles, by image, mean field of a camera
 cameras     distortion curves with their band, correlations of interior elements
 points      precision over the block, number of rays
+doming      heights at control and check points over the block
 network     images that see the same points
 """

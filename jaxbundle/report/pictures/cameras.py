@@ -6,6 +6,7 @@ import numpy as np
 from jaxtyping import Float
 
 from jaxbundle.report.figures import Figures
+from jaxbundle.report.pictures.known import known
 from jaxbundle.report.pictures.rays import image_format
 
 RADII = 61
@@ -30,7 +31,8 @@ class Correlations(NamedTuple):
 
 
 def distortion(figures: Figures, camera: int) -> Distortion | None:
-    """Radial distortion r (K1 r^2 + K2 r^4 + K3 r^6); None for a camera model without such coefficients."""
+    """Radial distortion r (K1 r^2 + K2 r^4 + K3 r^6); None for a camera model without such coefficients,
+    or a curve that is not finite."""
     one, values = figures.structure.cameras[camera], figures.interior[camera]
     place = {name: k for k, name in enumerate(one.model.elements)}
     names = [name for name in (*METRIC, *RELATIVE) if name in place]
@@ -49,7 +51,10 @@ def distortion(figures: Figures, camera: int) -> Distortion | None:
     if cofactors is not None:
         q = np.asarray(cofactors.interior)[camera][np.ix_(columns, columns)]
         sd = figures.sigma0 * np.sqrt(np.maximum(np.einsum("ir,ij,jr->r", rows, q, rows), 0.0))
-    return Distortion(radius, values[columns] @ rows, sd, one.unit_of(length))
+    curve = known(values[columns] @ rows)
+    if not (np.isfinite(curve).all() and radius[-1] > 0):
+        return None
+    return Distortion(radius, curve, known(sd), one.unit_of(length))
 
 
 def correlations(figures: Figures, camera: int) -> Correlations | None:
