@@ -62,7 +62,6 @@ if TYPE_CHECKING:
     from jaxbundle.report import (
         compare_reports,
         congruency,
-        plot,
         report_dict,
         report_html,
         report_text,
@@ -258,7 +257,6 @@ __all__ = [
     "observations_of_kind",
     "parallax_rule",
     "plausibility",
-    "plot",
     "prepared",
     "read",
     "read_bal",
@@ -290,7 +288,7 @@ __all__ = [
 
 
 def __dir__() -> list[str]:
-    return sorted([*__all__, "__version__"])
+    return sorted([*__all__, *_SUBMODULES, "__version__"])
 
 
 def __getattr__(name: str) -> Any:

@@ -8,6 +8,7 @@ from pathlib import Path
 
 import numpy as np
 
+from jaxbundle.block.findings import Finding
 from jaxbundle.block.given import require_a, require_photographs
 from jaxbundle.numerics.whole_files import write_whole
 from jaxbundle.report.figures import Figures, figures_of
@@ -20,12 +21,13 @@ from jaxbundle.report.sections import sections_of
 from jaxbundle.solve.adjustment import Adjustment
 
 
-def report_html(adjustment: Adjustment, made: Made | None = None) -> str:
+def report_html(adjustment: Adjustment, made: Made | None = None, found: tuple[Finding, ...] | None = None) -> str:
     """The report of a concrete adjustment as one HTML page.
 
     Args:
         adjustment: the adjustment, of a block of photographs.
         made: program, date, command and inputs to tell; without it the version of the program alone.
+        found: the findings, as `findings` gives them; they are looked for if None.
 
     Returns: the page, which needs no other file and no network; the same for the same adjustment.
 
@@ -37,17 +39,17 @@ def report_html(adjustment: Adjustment, made: Made | None = None) -> str:
     require_a(Adjustment, adjustment, "report_html")
     require_photographs(adjustment.block, "report_html")
     with np.errstate(all="ignore"):
-        figures = figures_of(adjustment)
+        figures = figures_of(adjustment, found)
         sections = [*(section() for section in sections_of(figures)), made_section(figures, made)]
         return html_of(figures, sections)
 
 
-def write_html(adjustment: Adjustment, path: str | Path) -> Path:
-    """Writes the report of a concrete adjustment as one HTML page and returns its path.
+def write_html(adjustment: Adjustment, path: str | Path, found: tuple[Finding, ...] | None = None) -> Path:
+    """Writes the report of a concrete adjustment as one HTML page, with what was `found`, and returns its path.
 
     Raises: as `report_html`; OSError where the file cannot be written.
     """
-    page, target = report_html(adjustment, made_now()), Path(path)
+    page, target = report_html(adjustment, made_now(), found), Path(path)
     write_whole(target, lambda file: file.write(page.encode("utf-8")))
     return target
 

@@ -96,9 +96,8 @@ def _links(finding: Finding, rows: Rows) -> str:
         address = rows.get((subject.table, subject.names)) or rows.get(("check_points", subject.names))
         if address is None and subject.table in CHAPTER_OF:
             address = chapter_address(CHAPTER_OF[subject.table])
-        words = " ".join(
-            filter(None, (subject.table.replace("_", " ").removesuffix("s"), *subject.names, subject.component))
-        )
+        what = subject.table.replace("_", " ").removesuffix("s")
+        words = " ".join(filter(None, (what, *subject.names, subject.component)))
         if address is not None:
             links.append(tag("a", text(words), href=f"#{address}"))
     links = list(dict.fromkeys(links))

@@ -75,7 +75,7 @@ def correlations(result: Adjustment, camera: str | int = 0, *, ax: Axes | None =
     found = cameras.correlations(figures, c)
     if found is None:
         raise ValueError(
-            f"camera {figures.camera_names[c]!r} has no correlations: estimate two elements or more, with precision=True"
+            f"camera {figures.camera_names[c]!r} has no correlations: estimate two elements, with precision=True"
         )
     ax.imshow(found.matrix, **styled(style, cmap="PuOr_r", vmin=-1.0, vmax=1.0))
     ax.set_xticks(range(len(found.elements)), found.elements, rotation=45, ha="right")
