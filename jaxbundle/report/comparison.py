@@ -74,8 +74,8 @@ class Congruency(NamedTuple):
 
     @property
     def congruent(self) -> bool:
-        """Whether nothing moved, at the level of the test."""
-        return self.statistic <= self.limit
+        """Whether nothing moved: neither the sum of all points nor a single point exceeds its limit."""
+        return self.statistic <= self.limit and not self.moved.any()
 
 
 def compare_reports(first: Mapping[str, Any], second: Mapping[str, Any]) -> Comparison:

@@ -64,10 +64,11 @@ def _section(found: Differences, whole: Comparison, test: Congruency | None) -> 
     size = np.nan_to_num(np.abs(found.ratio)).max(1, initial=0.0)
     order = np.argsort(-size, kind="stable")
     heads = [f"d{c}" if c != "value" else "difference" for c in found.columns]
+    sds = [f"sd {h}" for h in heads] if len(heads) <= 3 else ()  # six elements of an image would fill the page
     columns = [
         name_column(found.table.removesuffix("s"), found.names),
         *numbers(heads, found.difference, heads, show=lambda v: digits(v, 4), place=1),
-        *numbers([f"s{h}" for h in heads], found.sd, [f"sd {h}" for h in heads], show=lambda v: digits(v, 3), place=2),
+        *numbers([f"s{h}" for h in heads], found.sd, sds, show=lambda v: digits(v, 3), place=2),
         *numbers([f"t{h}" for h in heads], found.ratio, [f"t {h}" for h in heads], show=lambda v: fixed(v, 2), place=3),
     ]
     if test is not None and found.table == "points":

@@ -51,7 +51,7 @@ def to_ply(result: Adjustment, path: str | Path, stations: str | Path | None = N
     seen = plan(figures)
     usable = np.isfinite(seen.points).all(1)
     middle = seen.points[usable].mean(0) if usable.any() else np.zeros(3)
-    offset = np.round(middle / ROUND) * ROUND
+    offset = np.round(middle / ROUND) * ROUND + 0.0  # no -0
     largest = np.zeros(len(usable))
     size = np.nan_to_num(np.abs(standardised(figures))).max(1, initial=0.0)
     np.maximum.at(largest, figures.structure.ray_point, size)

@@ -57,7 +57,7 @@ def images(result: Adjustment, what: str = "rms", *, ax: Axes | None = None, **s
         ax.axhline(1.0, color="black", linestyle="--", linewidth=1)
     if len(names) <= 40:
         ax.set_xticks(range(len(names)), names, rotation=90, fontsize="small")
-    ax.set_ylim(bottom=0.0)
+    ax.set_ylim(0.0, 1.15 * max(float(np.nanmax(np.append(values[what], 0.0))), 1e-9))
     ax.set_ylabel(OF_IMAGES[what])
     return ax
 

@@ -33,6 +33,7 @@ def new_axes(ax: Axes | None) -> Axes:
 def plan_view(ax: Axes, unit: str) -> Axes:
     """Equal scales, and the unit at both axes."""
     ax.set_aspect("equal", adjustable="datalim")
+    ax.margins(0.12)  # arrows and ellipses take no part in the limits
     ax.set_xlabel(f"X [{unit}]")
     ax.set_ylabel(f"Y [{unit}]")
     return ax
