@@ -81,7 +81,17 @@ if TYPE_CHECKING:
     from jaxbundle.planning.flight import AerialCamera
     from jaxbundle.planning.predict import Prediction, predict
     from jaxbundle.planning.simulate import Simulation, simulate
-    from jaxbundle.report import report_dict, report_text, write_method_report, write_report
+    from jaxbundle.report import (
+        compare_reports,
+        congruency,
+        report_dict,
+        report_html,
+        report_text,
+        to_ply,
+        write_html,
+        write_method_report,
+        write_report,
+    )
     from jaxbundle.solve.adjust import Progress, adjust
     from jaxbundle.solve.adjustment import Adjustment, Status
     from jaxbundle.solve.batch import Batch, Outcome, adjust_many
@@ -171,7 +181,17 @@ _MODULES = {
     "planning.flight": ("AerialCamera",),
     "planning.predict": ("Prediction", "predict"),
     "planning.simulate": ("Simulation", "simulate"),
-    "report": ("report_dict", "report_text", "write_method_report", "write_report"),
+    "report": (
+        "compare_reports",
+        "congruency",
+        "report_dict",
+        "report_html",
+        "report_text",
+        "to_ply",
+        "write_html",
+        "write_method_report",
+        "write_report",
+    ),
     "solve.adjust": ("Progress", "adjust"),
     "solve.adjustment": ("Adjustment", "Status"),
     "solve.batch": ("Batch", "Outcome", "adjust_many"),
@@ -196,6 +216,10 @@ _MODULES = {
     ),
     "textbook": ("crosscheck",),
 }
+_SUBMODULES = {
+    "planning": "planning",
+    "plot": "report.plot",
+}  # namespaces of their own, which may need packages that are not there
 _HOME = {name: module for module, names in _MODULES.items() for name in names}
 
 __all__ = [
@@ -267,6 +291,8 @@ __all__ = [
     "approximate",
     "camera_rays",
     "collinearity",
+    "compare_reports",
+    "congruency",
     "control_influence",
     "control_point",
     "control_rays",
@@ -302,6 +328,7 @@ __all__ = [
     "relative_orientation",
     "reliability",
     "report_dict",
+    "report_html",
     "report_text",
     "resection",
     "simulate",
@@ -309,6 +336,7 @@ __all__ = [
     "three_groups",
     "three_point_resection",
     "tie_rays",
+    "to_ply",
     "unknown_rule",
     "validate",
     "variance_components",
@@ -319,17 +347,18 @@ __all__ = [
     "write_block_folder",
     "write_method_report",
     "write_format",
+    "write_html",
     "write_report",
 ]
 
 
 def __dir__() -> list[str]:
-    return sorted([*__all__, "__version__"])
+    return sorted({*__all__, *_SUBMODULES, "__version__"})
 
 
 def __getattr__(name: str) -> Any:
-    if name == "planning":
-        return importlib.import_module("jaxbundle.planning")
+    if name in _SUBMODULES:
+        return importlib.import_module(f"jaxbundle.{_SUBMODULES[name]}")
     if name not in _HOME:
         raise AttributeError(f"module 'jaxbundle' has no attribute {name!r}")
     return getattr(importlib.import_module(f"jaxbundle.{_HOME[name]}"), name)

@@ -2,6 +2,8 @@
 
 import dataclasses
 import math
+import shlex
+import sys
 from collections.abc import Callable
 from pathlib import Path
 from typing import NamedTuple
@@ -23,6 +25,7 @@ from jaxbundle.io import Sources, export, read
 from jaxbundle.io.results.export import EXPORTS
 from jaxbundle.numerics.devices import is_first_process
 from jaxbundle.report.files import require_place, rescue, write_report
+from jaxbundle.report.made import Made, input_files, made_now
 from jaxbundle.report.method_report import method_findings, require_place_of_method, write_method_report
 from jaxbundle.report.method_sections import MethodAdjustment
 from jaxbundle.report.text import wrapped
@@ -94,6 +97,7 @@ def adjust_path(path: Path, folder: Path, wanted: Wanted, lines: ProgressLines, 
     stop.begin()
     with lines.phase("reading"):
         block = read(path, sources=wanted.sources)
+        made = made_now(shlex.join(["jaxbundle", *sys.argv[1:]]), input_files(path)) if is_first_process() else None
     block = with_interior_held(block) if wanted.hold_interior else block
     options, methods = dataclasses.replace(wanted.options, stop=stopping_rule(block, wanted)), wanted.methods
     if is_first_process():  # before the work, not after it
@@ -123,7 +127,7 @@ def adjust_path(path: Path, folder: Path, wanted: Wanted, lines: ProgressLines, 
         return outcome._replace(folder=None)
     with lines.phase("writing"):
         write_block(methods, adjustment.block if result is None else result.block)
-        return _written(outcome)
+        return _written(outcome, made)
 
 
 def _judged(outcome: Outcome, block: Block) -> Outcome:
@@ -136,12 +140,12 @@ def _judged(outcome: Outcome, block: Block) -> Outcome:
         return outcome._replace(code=Code.UNEXPECTED, problem=told(error)[1])
 
 
-def _written(outcome: Outcome) -> Outcome:
+def _written(outcome: Outcome, made: Made | None) -> Outcome:
     """Writes the results; if they cannot be written to their folder, to a temporary one."""
     assert outcome.folder is not None
     try:
         if outcome.result is None:
-            write_report(outcome.adjustment, outcome.folder, outcome.found)
+            write_report(outcome.adjustment, outcome.folder, outcome.found, made)
         else:
             write_method_report(outcome.result, outcome.folder, outcome.found)
         return outcome

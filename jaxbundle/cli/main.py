@@ -344,6 +344,31 @@ def new(
 
 
 @app.command(rich_help_panel=_WORK)
+def compare(
+    first: Annotated[Path, typer.Argument(metavar="A", help="A folder of results.", show_default=False)],
+    second: Annotated[Path, typer.Argument(metavar="B", help="Another one.", show_default=False)],
+    out: Annotated[
+        Path | None, typer.Option("--out", "-o", help="File of the comparison as a page (HTML).", show_default=False)
+    ] = None,
+    surveys: Annotated[
+        bool, typer.Option("--surveys", help="Two independent surveys: test which points have moved.")
+    ] = False,
+    level: Annotated[float, typer.Option(help="Level of that test, for all points together.")] = 0.05,
+) -> None:
+    """Compare two results: differences over their standard deviations, settings, findings."""
+    importlib.import_module("jaxbundle.cli.comparing").run(first, second, out, surveys, level)
+
+
+@app.command(rich_help_panel=_WORK)
+def show(
+    folder: Annotated[Path, typer.Argument(metavar="DIR", help="A folder of results.", show_default=False)],
+    text: Annotated[bool, typer.Option("--text", help="Print the report instead.")] = False,
+) -> None:
+    """Open the report of a folder of results."""
+    importlib.import_module("jaxbundle.cli.showing").run(folder, text)
+
+
+@app.command(rich_help_panel=_WORK)
 def convert(
     path: Block,
     out: Annotated[

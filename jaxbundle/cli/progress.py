@@ -12,8 +12,10 @@ from jaxbundle.solve.adjust import Progress
 
 HEADER = f"{'iteration':>9}  {'cost':>14}  {'lambda':>8}  {'|Jd|/|v|':>8}  {'sigma0':>10}  {'s':>6}"
 
-COMPILING = "compiling (the first time takes up to a minute)"
+COMPILING = "planning and compiling (the first time takes up to a minute)"
 _ADJUSTING = "adjusting"
+_PRECISION = "standard deviations"
+_LONG = 1.0  # seconds: a phase that took longer is listed with its time
 
 
 class ProgressLines:
@@ -27,11 +29,15 @@ class ProgressLines:
     @contextmanager
     def phase(self, what: str) -> Iterator[None]:
         """Shows what is being done for as long as it takes."""
-        self._last = time.perf_counter()
+        begin = self._last = time.perf_counter()
         if self._console.is_terminal:
             with self._console.status(what, spinner="line") as self._status:
                 yield
             self._status = None
+            took = time.perf_counter() - begin
+            if took > _LONG:
+                name = _ADJUSTING if what == COMPILING else what
+                self._console.print(f"{name}: {took:.1f} s in all", style="dim")
         else:
             yield
 
@@ -50,6 +56,8 @@ class ProgressLines:
             f"{'' if progress.accepted else '  rejected'}"
         )
         self._last = now
+        if progress.ended and self._status is not None:
+            self._status.update(_PRECISION)
 
 
 def _known(value: float, form: str) -> str:

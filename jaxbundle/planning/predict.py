@@ -30,6 +30,7 @@ from jaxbundle.solve.adjust import devices_of
 from jaxbundle.solve.adjustment import Adjustment, BlockCofactors, Iterations, StandardDeviations, Status
 from jaxbundle.solve.answer import Ended, adjustment
 from jaxbundle.solve.free_network import freed
+from jaxbundle.solve.history import empty_history
 from jaxbundle.solve.options import Options
 from jaxbundle.statistics.reliability import LEVEL, POWER, Reliability, reliability
 
@@ -118,7 +119,9 @@ def predict(block: Block) -> Prediction:
         block = dataclasses.replace(block, structure=freed(block.structure))
     optimised = len(block.structure.ray_image) >= RAYS_FOR_OPTIMISATION
     zero = jnp.zeros(())
-    iterations = Iterations(on_device(int(Status.CONVERGED)), on_device(0), on_device(0), zero, zero, zero, zero)
+    iterations = Iterations(
+        on_device(int(Status.CONVERGED)), on_device(0), on_device(0), zero, zero, zero, zero, empty_history(0)
+    )
     ended = Ended(iterations, origin, options, precision=True, inspected=block.concrete, optimised=optimised)
     return Prediction(adjustment(block, plan, given, arranged, ended))
 

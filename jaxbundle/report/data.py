@@ -13,6 +13,7 @@ import numpy as np
 
 from jaxbundle.block.given import require_a
 from jaxbundle.report.figures import Figures, figures_of
+from jaxbundle.report.made import made_section
 from jaxbundle.report.section import Facts, Picked, ReportColumn, ReportTable, Section
 from jaxbundle.report.sections import sections_of
 from jaxbundle.solve.adjustment import Adjustment
@@ -22,7 +23,7 @@ def report_dict(adjustment: Adjustment) -> dict[str, Any]:
     """The report of a concrete adjustment: counts, sigma0, all unknowns with their standard deviations."""
     require_a(Adjustment, adjustment, "report_dict")
     figures = figures_of(adjustment)
-    return dict_of(figures, [section() for section in sections_of(figures)])
+    return dict_of(figures, [*(section() for section in sections_of(figures)), made_section(figures)])
 
 
 def dict_of(figures: Figures, sections: Sequence[Section]) -> dict[str, Any]:

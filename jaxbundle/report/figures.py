@@ -55,7 +55,7 @@ class Figures:
         control = np.zeros(len(self.points), bool)
         control[np.nonzero(~self.structure.point_free)[0]] = True
         for group in self.groups:
-            if group.structure.kind is CONTROL:
+            if group.structure.kind.name == CONTROL.name:  # an adjustment that was pickled has kinds of its own
                 control[group.structure.indices[:, 0]] = True
         return control
 

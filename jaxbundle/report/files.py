@@ -18,8 +18,10 @@ from jaxbundle.block.given import require_a, require_photographs
 from jaxbundle.io.tables import Columns, write_table
 from jaxbundle.report.data import dict_of, json_text
 from jaxbundle.report.figures import figures_of
-from jaxbundle.report.folder import DATA, TEXT, replaced, require_writable
+from jaxbundle.report.folder import DATA, PAGE, TEXT, replaced, require_writable
 from jaxbundle.report.group_tables import table_names
+from jaxbundle.report.html.page import html_of
+from jaxbundle.report.made import Made, made_now, made_section
 from jaxbundle.report.section import Picked, ReportTable, Section
 from jaxbundle.report.sections import sections_of
 from jaxbundle.report.text import text_of
@@ -30,12 +32,20 @@ ARRAYS = "adjustment.npz"
 # 6.3 million rays, with names of 6 letters; a number has up to 24 letters, on average 18
 _ROW = {"image": 700, "point": 400, "ray": 220, "other": 300}
 _TEXT = 50_000  # report.txt shows the first rows of each table only
+_PAGE, _MOST_PAGE = 150_000, 3_000_000  # report.html: style and script, and its largest
+_PAGE_ROW = 120  # bytes of it for each point, as long as it shows all
 
 
-def write_report(adjustment: Adjustment, folder: str | Path, found: tuple[Finding, ...] | None = None) -> Path:
+def write_report(
+    adjustment: Adjustment,
+    folder: str | Path,
+    found: tuple[Finding, ...] | None = None,
+    made: Made | None = None,
+) -> Path:
     """Writes all results of a concrete adjustment into a folder and returns its path.
 
-    `found`: the findings, as `findings` gives them; they are looked for if None is given.
+    `found`: the findings, as `findings` gives them; they are looked for if None is given. `made`: program, date,
+    command and inputs; without it this moment.
 
     Raises: FileExistsError where the folder holds files of these names that no adjustment wrote; another OSError where
     it cannot be written; ValueError for sensors that are not photographs.
@@ -47,12 +57,13 @@ def write_report(adjustment: Adjustment, folder: str | Path, found: tuple[Findin
     require_place(target, adjustment.block, robust)
     with np.errstate(all="ignore"):  # what overflows or is not known is empty in the tables
         figures = figures_of(adjustment, found)
-        sections = [section() for section in sections_of(figures)]
+        sections = [*(section() for section in sections_of(figures)), made_section(figures, made or made_now())]
         with replaced(target, names) as place:
             for table in (table for section in sections for table in tables_of(section)):
                 write_table(place / f"{table.name}.csv", columns_of(table))
             (place / DATA).write_text(json_text({**dict_of(figures, sections), "files": names}), encoding="utf-8")
             (place / TEXT).write_text(text_of(figures, sections), encoding="utf-8")
+            (place / PAGE).write_text(html_of(figures, sections), encoding="utf-8")
     return target
 
 
@@ -64,7 +75,7 @@ def result_files(block: Block, robust: bool = False) -> list[str]:
     robust_files = ["down_weighted.csv"] if robust else []
     fiducials = ["inner_orientation.csv", "fiducials.csv"] if block.structure.inner_orientations else []
     always = "images.csv", "cameras.csv", "points.csv", "rays.csv"
-    return [*always, *parameters, *groups, *check, *fiducials, *robust_files, DATA, TEXT]
+    return [*always, *parameters, *groups, *check, *fiducials, *robust_files, DATA, PAGE, TEXT]
 
 
 def require_place(folder: str | Path, block: Block, robust: bool = False) -> None:
@@ -84,7 +95,8 @@ def report_size(block: Block) -> int:
         "ray": len(structure.ray_image),
         "other": len(structure.parameters) + sum(len(group.values) for group in block.groups),
     }
-    return _TEXT + sum(_ROW[kind] * number for kind, number in rows.items())
+    page = min(_PAGE + _PAGE_ROW * (rows["point"] + 10 * rows["image"]), _MOST_PAGE)
+    return page + _TEXT + sum(_ROW[kind] * number for kind, number in rows.items())
 
 
 def rescue(adjustment: Adjustment, found: tuple[Finding, ...] | None = None) -> Path:

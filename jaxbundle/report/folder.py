@@ -25,7 +25,7 @@ from typing import NamedTuple
 
 from jaxbundle.numerics.whole_files import belongs_to_user, marked_name, remnants, sync_file, sync_folder
 
-TEXT, DATA = "report.txt", "report.json"
+TEXT, DATA, PAGE = "report.txt", "report.json", "report.html"
 ANOTHER = "give another folder for the results (--out)"
 _RECORD, _NEW, _OLD, _READY = "files.json", "new", "old", "ready"
 _AT_FOLDER, _EXCHANGE = -100, 2  # AT_FDCWD and RENAME_EXCHANGE of Linux's renameat2
@@ -120,7 +120,9 @@ def earlier_files(folder: Path) -> set[str]:
     """Files of the folder that an earlier adjustment wrote, as its report.json says."""
     try:
         files = json.loads((folder / DATA).read_text(encoding="utf-8"))["files"]
-        named = {name for name in files if Path(name).name == name and (name.endswith(".csv") or name in (DATA, TEXT))}
+        named = {
+            name for name in files if Path(name).name == name and (name.endswith(".csv") or name in (DATA, TEXT, PAGE))
+        }
     except (OSError, ValueError, KeyError, TypeError, RecursionError):
         return set()
     return {name for name in named if stat.S_ISREG(_mode(folder / name))}

@@ -7,6 +7,7 @@ that are results; any other form is one more renderer.
 import math
 from collections.abc import Callable, Sequence
 from dataclasses import dataclass
+from enum import Enum
 from typing import Any
 
 import numpy as np
@@ -14,6 +15,23 @@ from jaxtyping import Int
 
 LARGEST_FIXED = 1e12  # with four decimals already beyond double precision
 NAME, PARAMETER, OWNER = 18, 36, 26  # longer names, of parameters, and of those beside two ends, are shortened
+
+
+class Chapter(Enum):
+    """What a section belongs to; the values are the titles of a page's chapters, in their order."""
+
+    VERDICT = "Verdict"
+    PLAN = "Block"
+    CONTROL = "Control and check points"
+    RESIDUALS = "Residuals of the rays"
+    IMAGES = "Images"
+    CAMERAS = "Cameras"
+    POINTS = "Object points"
+    CONNECTIONS = "Connections"
+    RELIABILITY = "Reliability"
+    OTHERS = "Groups of observations"
+    ITERATIONS = "Iterations"
+    MADE = "How it was made"
 
 
 @dataclass(frozen=True, eq=False)
@@ -55,7 +73,8 @@ class ReportTable:
     """Rows of one sort. `name`: that of its file and its key in report.json.
 
     `page`: the rows that a page shows, and `more`: where the others are. `results`: the rows in report.json, None if
-    the table is not there. `below`: a page has the standard deviations below the values, not beside them.
+    the table is not there. `below`: a page has the standard deviations below the values, not beside them. `rows`: all
+    rows in the order of the page, for forms that show more of them; those of the page if None.
     """
 
     name: str
@@ -65,6 +84,7 @@ class ReportTable:
     results: Int[np.ndarray, " result"] | None = None
     below: bool = False
     in_file: bool = True
+    rows: Int[np.ndarray, " row"] | None = None
 
 
 @dataclass(frozen=True)
@@ -90,6 +110,7 @@ class Section:
 
     title: str
     parts: tuple[Facts | ReportTable | str, ...]
+    chapter: Chapter = Chapter.OTHERS
 
 
 def fact(label: str, text: str, **entries: Any) -> Fact:

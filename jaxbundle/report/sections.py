@@ -12,10 +12,12 @@ from jaxbundle.diagnosis.sigmas import global_test
 from jaxbundle.report import unknown_sections
 from jaxbundle.report.figures import Figures
 from jaxbundle.report.group_tables import GroupTable
+from jaxbundle.report.history_section import history
 from jaxbundle.report.section import (
     NAME,
     OWNER,
     PARAMETER,
+    Chapter,
     Fact,
     Facts,
     Picked,
@@ -37,7 +39,8 @@ from jaxbundle.solve.adjustment import DOWN_WEIGHTED
 from jaxbundle.statistics.reliability import UNCONTROLLED
 from jaxbundle.statistics.subsets import three_groups
 
-WORST, PAIRS = 20, 50  # rays, and correlations that a page shows
+WORST, PAIRS = 20, 50  # rays, and correlations that a page of text shows
+MOST_WORST = 500  # rays of the largest residuals that any page shows
 V = ("vx", "vy")
 SMALLEST = np.finfo(float).tiny
 
@@ -47,7 +50,7 @@ def sections_of(figures: Figures) -> list[Callable[[], Section]]:
     of = unknown_sections
     unknowns = of.images, of.inner_orientations, of.cameras, of.parameters, of.points
     before = verdict_section, adjustment_section, observations_section, *unknowns
-    after = of.check_points, _down_weighted, _rays, reliability_section, _correlations
+    after = of.check_points, _down_weighted, _rays, reliability_section, _correlations, history
     return [*(partial(f, figures) for f in before), *group_sections(figures), *(partial(f, figures) for f in after)]
 
 
@@ -68,7 +71,7 @@ def verdict_section(figures: Figures) -> Section:
         findings=[_entries_of(finding) for finding in figures.findings],
     )
     found = tuple(fact(finding.severity.label, finding.words) for finding in figures.findings)
-    return Section("Verdict", (Facts((verdict,), 2), Facts(found, 14)))
+    return Section("Verdict", (Facts((verdict,), 2), Facts(found, 14)), Chapter.VERDICT)
 
 
 def _entries_of(finding: Finding) -> dict:
@@ -118,7 +121,7 @@ def adjustment_section(figures: Figures) -> Section:
         fact("Iterations", f"{trials}, of which {how}", iterations=trials, method=adjustment.method),
         fact("End", f"{adjustment.status.words}; {end}", stopping_rule=rule, measure=measure),
     )
-    return Section("Adjustment", (Facts(facts, 23),))
+    return Section("Adjustment", (Facts(facts, 23),), Chapter.VERDICT)
 
 
 def _robust(figures: Figures) -> list[Fact]:
@@ -175,7 +178,7 @@ def _control(figures: Figures) -> Section:
     observed = [_group_table(figures, table) for table in figures.tables if table.name == CONTROL.name]
     held = unknown_sections.fixed_points(figures)
     title = with_unit("Control points: adjusted less observed", figures.structure.object_unit)
-    return Section(title, (*([held] if held else []), *observed))
+    return Section(title, (*([held] if held else []), *observed), Chapter.CONTROL)
 
 
 def _group(figures: Figures, observed: GroupTable) -> Section:
@@ -206,9 +209,9 @@ def _group_table(figures: Figures, observed: GroupTable) -> ReportTable:
         if not np.isnan(values).all():
             columns += numbers([f"{prefix}{c}" for c in components], values)
     columns.append(of_page(size_name, size, lambda value: f"{value:.2f}"))
-    return ReportTable(
-        observed.name, tuple(columns), *first(np.arange(len(size)), unknown_sections.POINTS, observed.title)
-    )
+    every = np.arange(len(size))
+    shown = first(every, unknown_sections.POINTS, observed.title)
+    return ReportTable(observed.name, tuple(columns), *shown, rows=every)
 
 
 def _names_of_rays(figures: Figures, rays: np.ndarray | slice = slice(None)) -> tuple[Picked, Picked]:
@@ -238,15 +241,16 @@ def _down_weighted(figures: Figures) -> Section:
         *numbers(V, v, V, show=with_digits(4)),
         of_page("", _units_of_rays(figures, rays)),
     )
-    table = ReportTable("down_weighted", columns, *first(np.arange(len(rays)), unknown_sections.POINTS, "rays"))
+    every = np.arange(len(rays))
+    table = ReportTable("down_weighted", columns, *first(every, unknown_sections.POINTS, "rays"), rows=every)
     title = f"Rays of a robust weight below {DOWN_WEIGHTED:g}"
-    return Section(title, (table,) if len(rays) else ("none", table))
+    return Section(title, (table,) if len(rays) else ("none", table), Chapter.RESIDUALS)
 
 
 def _rays(figures: Figures) -> Section:
     """All rays; a page has those of the largest residuals."""
     size, reliability = figures.ray_size, figures.reliability
-    count = min(WORST, len(size))
+    count = min(MOST_WORST, len(size))
     worst = np.argpartition(-size, count - 1)[:count] if count else np.zeros(0, int)
     image, point = _names_of_rays(figures)
     rays, size_name = figures.adjustment.block.rays, "|w|/sigma0" if reliability else "|v|/(sigma0 sigma)"
@@ -262,7 +266,8 @@ def _rays(figures: Figures) -> Section:
     if reliability:
         columns += numbers(("rx", "ry"), reliability.redundancy_numbers[0]) + numbers(("wx", "wy"), reliability.w[0])
     worst = worst[np.argsort(-size[worst], kind="stable")]
-    return Section(f"Rays of the largest {size_name}", (ReportTable("rays", tuple(columns), worst),))
+    table = ReportTable("rays", tuple(columns), worst[:WORST], rows=worst)
+    return Section(f"Rays of the largest {size_name}", (table,), Chapter.RESIDUALS)
 
 
 def reliability_section(figures: Figures) -> Section:
@@ -294,7 +299,7 @@ def reliability_section(figures: Figures) -> Section:
     table = ReportTable(
         "reliability", (name_column("group", names, 100), *columns), every, results=every, in_file=False
     )
-    return Section("Reliability", (table,))
+    return Section("Reliability", (table,), Chapter.RELIABILITY)
 
 
 def _correlations(figures: Figures) -> Section:
@@ -316,4 +321,4 @@ def _correlations(figures: Figures) -> Section:
     shown = first(high, PAIRS, "pairs")
     table = ReportTable("correlations", columns, *shown, results=np.arange(len(elements)), in_file=False)
     entries = fact("", "", high_parameter_correlations=of_parameters)
-    return Section(f"Correlations over {HIGH_CORRELATION}", (Facts((entries,), 0), table))
+    return Section(f"Correlations over {HIGH_CORRELATION}", (Facts((entries,), 0), table), Chapter.CAMERAS)

@@ -5,6 +5,7 @@ from collections.abc import Sequence
 
 from jaxbundle.block.given import require_a
 from jaxbundle.report.figures import Figures, figures_of
+from jaxbundle.report.made import made_section
 from jaxbundle.report.section import Facts, ReportTable, Section
 from jaxbundle.report.sections import sections_of
 from jaxbundle.solve.adjustment import Adjustment
@@ -16,7 +17,7 @@ def report_text(adjustment: Adjustment) -> str:
     """The report of a concrete adjustment, ASCII, at most 110 columns."""
     require_a(Adjustment, adjustment, "report_text")
     figures = figures_of(adjustment)
-    return text_of(figures, [section() for section in sections_of(figures)])
+    return text_of(figures, [*(section() for section in sections_of(figures)), made_section(figures)])
 
 
 def text_of(figures: Figures, sections: Sequence[Section]) -> str:
@@ -25,10 +26,14 @@ def text_of(figures: Figures, sections: Sequence[Section]) -> str:
     title = f"Adjustment of block {structure.name or '(unnamed)'}"
     lines = [*textwrap.wrap(title, WIDTH), *textwrap.wrap(structure.source, WIDTH)]
     for section in sections:
-        body = [line for part in section.parts for line in _lines(part)]
-        if body:
-            lines += ["", section.title, "-" * len(section.title), *body]
+        lines += section_lines(section)
     return "\n".join(line.rstrip() for line in lines).encode("ascii", "replace").decode() + "\n"
+
+
+def section_lines(section: Section) -> list[str]:
+    """The lines of a section below its heading; none where it has no parts."""
+    body = [line for part in section.parts for line in _lines(part)]
+    return ["", section.title, "-" * len(section.title), *body] if body else []
 
 
 def _lines(part: Facts | ReportTable | str) -> list[str]:

@@ -6,6 +6,7 @@ from jaxbundle.camera.fiducials import PARAMETERS
 from jaxbundle.report.figures import Figures
 from jaxbundle.report.section import (
     PARAMETER,
+    Chapter,
     Facts,
     Picked,
     ReportColumn,
@@ -40,8 +41,8 @@ def images(figures: Figures) -> Section:
         *measured(structure.exterior_elements, figures.exterior, sd, units, [decimals(column) for column in sd.T]),
         ReportColumn("rays", figures.rays_of_image, "rays", place=1),
     )
-    table = ReportTable("images", columns, *first(every, IMAGES, "images"), results=every, below=True)
-    return Section("Images: adjusted value and standard deviation below", (table,))
+    table = ReportTable("images", columns, *first(every, IMAGES, "images"), results=every, below=True, rows=every)
+    return Section("Images: adjusted value and standard deviation below", (table,), Chapter.IMAGES)
 
 
 def inner_orientations(figures: Figures) -> Section:
@@ -81,7 +82,7 @@ def inner_orientations(figures: Figures) -> Section:
     }
     facts = Facts((fact("", "", inner_orientations=entries),), 0)
     fiducials = ReportTable("fiducials", residuals, np.zeros(0, int))
-    return Section("Inner orientation: fits to the fiducials, mm", (facts, table, fiducials))
+    return Section("Inner orientation: fits to the fiducials, mm", (facts, table, fiducials), Chapter.CAMERAS)
 
 
 def cameras(figures: Figures) -> Section:
@@ -103,9 +104,9 @@ def cameras(figures: Figures) -> Section:
     )
     free = np.flatnonzero(structure.interior_free[c, k])
     shown, more = first(np.unique(c[free]), CAMERAS, "cameras")
-    table = ReportTable("cameras", columns, free[np.isin(c[free], shown)], more, free)
+    table = ReportTable("cameras", columns, free[np.isin(c[free], shown)], more, free, rows=free)
     nothing = () if len(free) else ("none: all interior elements are held",)
-    return Section("Cameras: estimated elements", (*nothing, table))
+    return Section("Cameras: estimated elements", (*nothing, table), Chapter.CAMERAS)
 
 
 def parameters(figures: Figures) -> Section:
@@ -135,9 +136,9 @@ def points(figures: Figures) -> Section:
         *measured(COORDINATES, figures.points, sd, units, places),
         ReportColumn("rays", figures.rays_of_point, "rays", place=1),
     )
-    table = ReportTable("points", columns, *first(unknown, POINTS, "points"), results=unknown)
+    table = ReportTable("points", columns, *first(unknown, POINTS, "points"), results=unknown, rows=unknown)
     before = _precision_of_points(figures) if len(unknown) else ("all coordinates of all points are fixed",)
-    return Section("Object points", (*before, table))
+    return Section("Object points", (*before, table), Chapter.POINTS)
 
 
 def _precision_of_points(figures: Figures) -> tuple[ReportTable | str, ...]:
@@ -172,9 +173,10 @@ def check_points(figures: Figures) -> Section:
     squares = np.where(known, differences, 0.0) ** 2
     rms = np.sqrt(squares.sum(0) / np.maximum(known.sum(0), 1))
     shown = first(every, POINTS, "check points")
-    table = ReportTable("check_points", columns, *shown, results=every, in_file=bool(len(check)))
+    table = ReportTable("check_points", columns, *shown, results=every, in_file=bool(len(check)), rows=every)
     after = f"root mean square  dX {rms[0]:.3g}  dY {rms[1]:.3g}  dZ {rms[2]:.3g}  {unit}"
-    return Section("Check points: adjusted less known", (table, after) if len(check) else (table,))
+    parts = (table, after) if len(check) else (table,)
+    return Section("Check points: adjusted less known", parts, Chapter.CONTROL)
 
 
 def fixed_points(figures: Figures) -> Facts | None:

@@ -34,6 +34,7 @@ from jaxbundle.solve.answer import Ended, adjustment
 from jaxbundle.solve.checkpoint import Keeper, fingerprint, require_same_block
 from jaxbundle.solve.damping import Marquardt, Undamped
 from jaxbundle.solve.free_network import constrained, freed
+from jaxbundle.solve.history import History, history_of
 from jaxbundle.solve.implicit import minimum
 from jaxbundle.solve.levenberg_marquardt import Arguments, BundleSolver, Solved, State
 from jaxbundle.solve.options import Choices, Options, chosen
@@ -57,6 +58,8 @@ class Progress(NamedTuple):
     step: float
     accepted: bool
     sigma0: float
+    ended: bool = False
+    """Whether it is the last one: what follows are standard deviations."""
 
 
 def adjust(
@@ -208,10 +211,12 @@ def _in_one(run: _Run) -> tuple[OrderedUnknowns, Iterations]:
 
     @sequential_vmap
     def solved(unknowns: OrderedUnknowns, args: Arguments) -> Solved:
-        return solver.run(bundle, unknowns, args, bundle.first(), most, optimised=run.optimised)
+        return solver.run(bundle, unknowns, args, bundle.first(most), most, optimised=run.optimised)
 
     found = solved(to_elimination_order(run.plan, unknowns_of(run.block)), run.args)
-    return found.unknowns, _iterations(found.state, status_of(found.result))
+    history = found.state.history
+    assert history is not None
+    return found.unknowns, _iterations(found.state, status_of(found.result), history)
 
 
 def _step_by_step(run: _Run, keeper: Keeper | None) -> tuple[OrderedUnknowns, Iterations]:
@@ -229,6 +234,7 @@ def _step_by_step(run: _Run, keeper: Keeper | None) -> tuple[OrderedUnknowns, It
     unknowns, problem, state = placed(to_elimination_order(run.plan, start), run.args.problem, state)
     found = Solved(unknowns, state, optx.RESULTS.nonlinear_max_steps_reached)
     args, interrupted, costs, creeping = run.args._replace(problem=problem), False, [], False
+    entries: list[tuple[int, float, float, float, bool]] = []
     try:
         while int(found.state.trials) < most and not bool(found.state.ended) and not creeping:
             before = int(found.state.accepted)
@@ -237,6 +243,8 @@ def _step_by_step(run: _Run, keeper: Keeper | None) -> tuple[OrderedUnknowns, It
             if int(state.trials) == 1 and not np.isfinite(float(state.initial_cost)):
                 require_finite_start(run.block, run.plan, found.unknowns, args.problem)
             accepted = int(state.accepted) > before
+            numbers = float(state.cost), float(state.used_damping), float(state.step)
+            entries.append((int(state.trials) - 1, *numbers, accepted))
             if keeper is not None and accepted and not bool(state.ended):
                 # the last step is not kept: who goes on from here does it again and comes to the same end
                 keeper.keep(to_block_order(run.plan, found.unknowns), state)
@@ -253,7 +261,7 @@ def _step_by_step(run: _Run, keeper: Keeper | None) -> tuple[OrderedUnknowns, It
     status = Status.INTERRUPTED if interrupted else Status(int(status_of(result)))
     if creeping and status is Status.MAXIMUM_ITERATIONS:
         status = Status.CREEPING
-    return found.unknowns, _iterations(state, on_device(int(status)))
+    return found.unknowns, _iterations(state, on_device(int(status)), history_of(entries, most))
 
 
 def is_creeping(block: Block, costs: list[float]) -> bool:
@@ -265,12 +273,14 @@ def is_creeping(block: Block, costs: list[float]) -> bool:
     return fallen < variance and bool(weak_datum(block, float(np.sqrt(variance))))
 
 
-def _iterations(state: State, status: Array) -> Iterations:
+def _iterations(state: State, status: Array, history: History) -> Iterations:
     step = jnp.where(state.used_damping == 0, state.step, 0.0)
-    return Iterations(status, state.trials, state.accepted, state.initial_cost, state.cost, state.measure, step)
+    costs = state.initial_cost, state.cost
+    return Iterations(status, state.trials, state.accepted, *costs, state.measure, step, history)
 
 
 def _progress(block: Block, state: State, accepted: bool) -> Progress:
     cost = float(state.cost)
     sigma0 = float(np.sqrt(2 * cost / block.redundancy))
-    return Progress(int(state.trials), cost, float(state.used_damping), float(state.step), accepted, sigma0)
+    numbers = cost, float(state.used_damping), float(state.step)
+    return Progress(int(state.trials), *numbers, accepted, sigma0, bool(state.ended))

@@ -15,6 +15,8 @@ from jaxbundle.block.wording import counted
 from jaxbundle.normals.pcg import TOLERANCE
 from jaxbundle.numerics.host import array_module, is_concrete, on_device, on_host
 from jaxbundle.numerics.offered import offered
+from jaxbundle.solve.history import History
+from jaxbundle.solve.notebook import result_html
 from jaxbundle.solve.options import Options
 from jaxbundle.solve.status import Status
 from jaxbundle.solve.weight_functions import with_weights
@@ -29,7 +31,7 @@ DOWN_WEIGHTED = 0.5  # a robust weight below which a ray is listed
 
 class Iterations(NamedTuple):
     """How the solve went. `measure` is the stopping rule's number at the last accepted step; `step`, |J d| / |v| of
-    the last one if it was not damped, else 0."""
+    the last one if it was not damped, else 0. `history`: every iteration; empty where the engine does not tell them."""
 
     status: Int[Array, ""]
     trials: Int[Array, ""]
@@ -38,6 +40,7 @@ class Iterations(NamedTuple):
     final_cost: Float[Array, ""]
     measure: Float[Array, ""]
     step: Float[Array, ""]
+    history: History
 
 
 class StandardDeviations(NamedTuple):
@@ -113,6 +116,22 @@ class Adjustment(eqx.Module):
         counts = f"{counted(len(structure.image_names), 'image')}, {counted(len(structure.point_names), 'point')}"
         how = f"{self.status.words}, sigma0 {float(self.sigma0):.4g}" if is_concrete(self) else "traced"
         return f"<Adjustment {structure.name or '(unnamed)'}: {how}, {counts}>"
+
+    def _repr_html_(self) -> str:
+        structure = self.block.structure
+        title = f"Adjustment {structure.name or '(unnamed)'}"
+        if not is_concrete(self) or np.ndim(self.iterations.status):
+            return result_html(title, [("status", "traced, or many in one")], ())
+        counts = counted(len(structure.image_names), "image"), counted(len(structure.point_names), "point")
+        rows = [
+            ("verdict", self.verdict),
+            ("sigma0", f"{float(self.sigma0):.6g}"),
+            ("block", ", ".join((*counts, counted(len(structure.ray_image), "ray")))),
+            ("redundancy", f"{self.redundancy} = {self.observations} observations - {self.unknowns} unknowns"),
+            ("datum", str(structure.datum)),
+            ("iterations", f"{int(self.iterations.trials)}, {int(self.iterations.accepted)} accepted"),
+        ]
+        return result_html(title, rows, self.findings)
 
     @property
     def method(self) -> str:

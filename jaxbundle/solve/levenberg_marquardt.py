@@ -35,6 +35,7 @@ from jaxbundle.normals.step import trial_step
 from jaxbundle.numerics.compilation import Compiled
 from jaxbundle.numerics.host import on_device
 from jaxbundle.solve.damping import AbstractDamping, DampingState
+from jaxbundle.solve.history import History, empty_history, entry
 from jaxbundle.solve.stopping import AbstractStoppingRule, StepTaken
 
 RESULTS = optx.RESULTS
@@ -67,6 +68,7 @@ class State(NamedTuple):
     cost: Float[Array, ""]
     measure: Float[Array, ""]
     step: Float[Array, ""]  # |J d| / |v| of the last trial
+    history: History | None  # None where the host looks on and keeps it
 
 
 class Solved(NamedTuple):
@@ -90,11 +92,12 @@ class BundleSolver(optx.AbstractLeastSquaresSolver[OrderedUnknowns, Any, Any, St
         self.rtol, self.atol, self.norm = 0.0, 0.0, optx.max_norm
         self.damping = damping
 
-    def first(self) -> State:
-        """The state before the first step."""
+    def first(self, recorded: int | None = None) -> State:
+        """The state before the first step; it keeps the history of `recorded` iterations, or none."""
         false, zero, nan = on_device(False), on_device(0), on_device(jnp.nan)
+        history = None if recorded is None else empty_history(recorded)
         start, running = self.damping.initial_state(), jax.tree.map(on_device, RESULTS.successful)
-        return State(start, false, false, false, running, zero, zero, nan, nan, nan, nan, nan)
+        return State(start, false, false, false, running, zero, zero, nan, nan, nan, nan, nan, history)
 
     def init(self, fn, y, args, options, f_struct, aux_struct, tags) -> State:
         return options["state"] if "state" in options else self.first()
@@ -125,6 +128,10 @@ class BundleSolver(optx.AbstractLeastSquaresSolver[OrderedUnknowns, Any, Any, St
         hopeless = undamped & ~state.certifying & ~accepted  # Gauss-Newton has no shorter step
         diverged = RESULTS.where(trial.finite, RESULTS.nonlinear_divergence, _SINGULAR)
         result = RESULTS.where(stalled, _STAGNATION, RESULTS.successful)
+        cost, length = jnp.where(accepted, trial.cost - trial.reduction, trial.cost), jnp.sqrt(angle_squared)
+        history = state.history
+        if history is not None:
+            history = history.with_entry(state.trials, entry(cost, factor, length, accepted))
         return (
             unknowns,
             State(
@@ -137,9 +144,10 @@ class BundleSolver(optx.AbstractLeastSquaresSolver[OrderedUnknowns, Any, Any, St
                 state.accepted + accepted,
                 factor,
                 jnp.where(state.trials == 0, trial.cost, state.initial_cost),
-                jnp.where(accepted, trial.cost - trial.reduction, trial.cost),
+                cost,
                 jnp.where(accepted, measure, state.measure),
-                jnp.sqrt(angle_squared),
+                length,
+                history,
             ),
             None,
         )

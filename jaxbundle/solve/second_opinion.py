@@ -32,6 +32,7 @@ from jaxbundle.block.design import (
 from jaxbundle.block.residuals import Observations
 from jaxbundle.block.unknowns import Unknowns
 from jaxbundle.solve.adjustment import Iterations, Status
+from jaxbundle.solve.history import empty_history
 from jaxbundle.solve.stopping import AbstractStoppingRule, StepTaken
 
 STEPS_A_ROUND = 10
@@ -91,7 +92,8 @@ def solve(unknowns: Unknowns, args: Arguments, method: str, max_iterations: int)
         elif not moved:
             status = Status.STALLED
     code, trials, accepted = jnp.asarray(int(status)), jnp.asarray(trials), jnp.asarray(accepted)
-    return unknowns, Iterations(code, trials, accepted, initial, _cost(unknowns, o), full.measure, full.angle)
+    costs, history = (initial, _cost(unknowns, o)), empty_history(max_iterations)  # jaxopt tells rounds, not iterations
+    return unknowns, Iterations(code, trials, accepted, *costs, full.measure, full.angle, history)
 
 
 def _residuals(unknowns: Unknowns, observations: Observations) -> Float[Array, " observation"]:

@@ -120,12 +120,16 @@ def test_observations_of_one_block_go_through_vmap(blocks):
     def one(shift):
         drawn = eqx.tree_at(lambda b: b.rays.coordinates, block, block.rays.coordinates + shift)
         found = adjust(drawn, precision=False)
-        return found.block.object_points, found.sigma0, found.iterations.trials
+        return found.block.object_points, found.sigma0, found.iterations.trials, found.iterations.history
 
-    points, sigma0, trials = jax.jit(jax.vmap(jax.vmap(one)))(shifts.at[0, 0].set(0.0))
+    points, sigma0, trials, history = jax.jit(jax.vmap(jax.vmap(one)))(shifts.at[0, 0].set(0.0))
     for k, expected in (((0, 0), one(0.0 * shifts[0, 0])), ((1, 1), one(shifts[1, 1]))):
         np.testing.assert_allclose(points[k], expected[0], rtol=1e-9, atol=1e-8)
         assert sigma0[k] == pytest.approx(float(expected[1]), rel=1e-9) and trials[k] == expected[2]
+        n = int(expected[2])
+        np.testing.assert_allclose(history.cost[k][:n], expected[3].cost[:n], rtol=1e-6)
+        np.testing.assert_array_equal(history.accepted[k], expected[3].accepted)
+        assert np.isnan(history.cost[k][n:]).all() and history.cost[k].shape == expected[3].cost.shape == (200,)
 
 
 def test_no_block():

@@ -1,0 +1,39 @@
+"""Which images see the same points: the network that keeps a block together."""
+
+from typing import NamedTuple
+
+import numpy as np
+from jaxtyping import Int
+from scipy.sparse import coo_array
+
+from jaxbundle.report.figures import Figures
+
+STRONGEST = 6  # connections of each image that a picture shows
+WEAK = 20  # common points below which a connection is called weak
+
+
+class Connections(NamedTuple):
+    """Pairs of images, the strongest of each, and the number of points that both of them see."""
+
+    pairs: Int[np.ndarray, "pair 2"]
+    common: Int[np.ndarray, " pair"]
+    of_all: int
+    """Number of all pairs with a common point."""
+
+
+def connections(figures: Figures, strongest: int = STRONGEST) -> Connections:
+    """The strongest connections of each image."""
+    structure, images = figures.structure, len(figures.structure.image_names)
+    once = np.unique(structure.ray_point.astype(np.int64) * max(images, 1) + structure.ray_image)
+    point, image = once // max(images, 1), once % max(images, 1)
+    seen = coo_array((np.ones(len(once), np.int32), (image, point)), shape=(images, len(structure.point_names))).tocsr()
+    common = (seen @ seen.T).tocoo()
+    a, b = common.coords
+    upper = a < b
+    a, b, number = a[upper], b[upper], common.data[upper]
+    both = np.concatenate([a, b]), np.tile(np.arange(len(a)), 2)
+    order = np.lexsort((both[1], -number[both[1]], both[0]))
+    owner = both[0][order]
+    rank = np.arange(len(order)) - np.searchsorted(owner, owner)
+    kept = np.unique(both[1][order][rank < strongest])
+    return Connections(np.stack([a[kept], b[kept]], 1).astype(int), number[kept].astype(int), len(a))

@@ -1,0 +1,47 @@
+"""The history of a solve: one entry per iteration, in arrays of fixed size, so that it can be kept under jit."""
+
+from collections.abc import Iterable
+from typing import NamedTuple
+
+import jax.numpy as jnp
+import numpy as np
+from jaxtyping import Array, Bool, Float, Int
+
+from jaxbundle.numerics.host import on_device
+
+
+class History(NamedTuple):
+    """What every iteration did, in order; entries that no iteration has filled are NaN and False."""
+
+    cost: Float[Array, " iteration"]
+    """v^T P v / 2 at the unknowns that the iteration left."""
+    damping: Float[Array, " iteration"]
+    """The damping lambda of its step; 0 for a full step of Gauss-Newton."""
+    step: Float[Array, " iteration"]
+    """|J d| / |v|: the length of the step in the space of the residuals, without a unit."""
+    accepted: Bool[Array, " iteration"]
+    """Whether the step was applied."""
+
+    def with_entry(self, at: Int[Array, ""], entry: "History") -> "History":
+        """The history with the entry of one iteration; each field of `entry` is a scalar."""
+        return History(*(array.at[at].set(value) for array, value in zip(self, entry, strict=True)))
+
+
+def empty_history(max_iterations: int) -> History:
+    """The history of a solve before its first iteration."""
+    unknown = [on_device(np.full(max_iterations, np.nan)) for _ in range(3)]
+    return History(*unknown, on_device(np.zeros(max_iterations, bool)))
+
+
+def history_of(entries: Iterable[tuple[int, float, float, float, bool]], max_iterations: int) -> History:
+    """The history of entries that the host has collected: index, cost, damping, step, accepted."""
+    arrays = [np.full(max_iterations, np.nan) for _ in range(3)] + [np.zeros(max_iterations, bool)]
+    for index, *values in entries:
+        for array, value in zip(arrays, values, strict=True):
+            array[index] = value
+    return History(*map(on_device, arrays))
+
+
+def entry(cost: Array, damping: Array, step: Array, accepted: Array) -> History:
+    """One iteration, as `with_entry` takes it."""
+    return History(*map(jnp.asarray, (cost, damping, step, accepted)))

@@ -1,0 +1,23 @@
+"""A result as a notebook shows it: a small table, and what was found."""
+
+import html
+from collections.abc import Iterable
+
+from jaxbundle.block.findings import Finding
+
+SHOWN = 12  # findings; the others are counted
+
+
+def result_html(title: str, rows: Iterable[tuple[str, str]], findings: tuple[Finding, ...]) -> str:
+    """A heading, facts below each other, and findings; without scripts and styles."""
+    facts = "".join(
+        f"<tr><th align='left'>{html.escape(label)}</th><td align='left'>{html.escape(words)}</td></tr>"
+        for label, words in rows
+    )
+    items = "".join(
+        f"<li><b>{html.escape(finding.severity.label)}</b>: {html.escape(finding.words)}</li>"
+        for finding in findings[:SHOWN]
+    )
+    more = f"<p>and {len(findings) - SHOWN} more</p>" if len(findings) > SHOWN else ""
+    found = f"<details open><summary>Findings: {len(findings)}</summary><ul>{items}</ul>{more}</details>"
+    return f"<div><b>{html.escape(title)}</b><table>{facts}</table>{found if findings else ''}</div>"
