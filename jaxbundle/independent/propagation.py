@@ -45,6 +45,11 @@ def propagated(adjustment: Adjustment, errors: sp.csr_matrix) -> Propagated | No
     if structure.unknowns > MAX_UNKNOWNS or adjustment.cofactors is None or adjustment.undetermined:
         return None
     system = dense_system(adjustment)
+    if adjustment.reweighting is not None:  # the system has the weights of the last round
+        roots = np.ones(errors.shape[0])
+        of_rays = np.repeat(np.sqrt(np.asarray(adjustment.reweighting.weights)), structure.model.components)
+        roots[: len(of_rays)] = of_rays
+        errors = sp.csr_matrix(sp.diags(roots) @ errors)
     covariance = sp.csr_matrix(errors @ errors.T)
     explained = system.orthogonal.T @ (covariance @ system.orthogonal)
     expected = float(covariance.diagonal().sum() - np.trace(explained))
