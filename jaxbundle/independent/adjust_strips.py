@@ -143,7 +143,8 @@ def adjust_strips(
     found = _joined(block, models)
     names = tuple(f"strip {k + 1}" for k in range(len(found)))
     rigid = adjust(rigid_block(block, found, names).block, precision=False)
-    in_frames, how = frames(rigid, found), (form, degree)
+    in_frames = frames(rigid, found)
+    how: tuple[Form, int] = form, degree
     ends = [end_errors(models, strip) for strip in found]
     sensors = polynomial_sensors(block, found, in_frames, names, how)
     of_strips = polynomial_block(block, found, in_frames, sensors, curb_group(ends, how))

@@ -38,17 +38,16 @@ class Supported(NamedTuple):
 
 def full_control(block: Block) -> Bool[np.ndarray, " point"]:
     """Points whose three coordinates are fixed or observed."""
-    known = ~block.structure.point_free
-    known = known.copy()
+    known = np.array(~block.structure.point_free)
     for group in block.groups:
         if group.structure.kind is CONTROL:
             known[group.structure.indices[:, 0]] |= group.structure.observed
-    return known.all(1)
+    return np.asarray(known.all(1))
 
 
 def observed_stations(block: Block) -> Bool[np.ndarray, " image"]:
     """Images whose projection centre is observed or fixed."""
-    known = (~block.structure.exterior_free[:, :3]).all(1)
+    known = np.array((~block.structure.exterior_free[:, :3]).all(1))
     for group in block.groups:
         kind = group.structure.kind
         if kind.table == "stations" and kind.touches[0] == "image":
