@@ -126,8 +126,9 @@ def adjust_path(path: Path, folder: Path, wanted: Wanted, lines: ProgressLines, 
     if not is_first_process():
         return outcome._replace(folder=None)
     with lines.phase("writing"):
+        outcome = _written(outcome, made)
         write_block(methods, adjustment.block if result is None else result.block)
-        return _written(outcome, made)
+        return outcome
 
 
 def _judged(outcome: Outcome, block: Block) -> Outcome:

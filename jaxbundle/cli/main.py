@@ -257,7 +257,7 @@ def adjust(
             adjusting = _loaded("adjusting", cluster)
             function = adjusting.weight_function(robust, robust_limit)
             options = adjusting.Options(
-                method=method if method in adjusting.DAMPINGS else "levenberg-marquardt",
+                method="gauss-newton" if method == "gauss-newton" else "levenberg-marquardt",
                 max_iterations=max_iterations,
                 precision=not no_precision,
                 engine=engine,

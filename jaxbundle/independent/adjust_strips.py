@@ -143,7 +143,8 @@ def adjust_strips(
     found = _joined(block, models)
     names = tuple(f"strip {k + 1}" for k in range(len(found)))
     rigid = adjust(rigid_block(block, found, names).block, precision=False)
-    in_frames, how = frames(rigid, found), (form, degree)
+    in_frames = frames(rigid, found)
+    how: tuple[Form, int] = form, degree
     ends = [end_errors(models, strip) for strip in found]
     sensors = polynomial_sensors(block, found, in_frames, names, how)
     of_strips = polynomial_block(block, found, in_frames, sensors, curb_group(ends, how))
@@ -185,10 +186,15 @@ def _joined(block: Block, models: Models) -> tuple[Strip, ...]:
     return tuple(strip for chain in chains for strip in joined(models, chain, covariances, rays))
 
 
+def _ends(block: Block, strip: Strip) -> tuple[str, str]:
+    """Names of the first and the last image."""
+    names = block.structure.image_names
+    return names[strip.images[0]], names[strip.images[-1]]
+
+
 def _title(block: Block, k: int, strip: Strip) -> str:
     """A strip in the user's words."""
-    names = block.structure.image_names
-    return f"strip {k + 1} (images {names[strip.images[0]]} to {names[strip.images[-1]]})"
+    return f"strip {k + 1} (images {' to '.join(_ends(block, strip))})"
 
 
 def _layout(block: Block, strips: tuple[Strip, ...], in_frames: tuple[Frame, ...], degree: int) -> list[Finding]:
@@ -205,7 +211,7 @@ def _layout(block: Block, strips: tuple[Strip, ...], in_frames: tuple[Frame, ...
             times[strip.points] > 1,
             at[count:, 0][stations[strip.images]],
         )
-        found += layout.missing_control(_title(block, k, strip), supported, degree + 1)
+        found += layout.missing_control(_title(block, k, strip), supported, degree + 1, _ends(block, strip))
     return found
 
 
@@ -221,7 +227,8 @@ def _swinging(
         weak = [name for name in terms if r[k, names.index(name)] < CURBED]
         if weak:
             end = max(ends[k][terms[name][0]] for name in weak)
-            found.append(layout.swinging(_title(block, k, strip), weak, end, block.structure.object_unit))
+            unit = block.structure.object_unit
+            found.append(layout.swinging(_title(block, k, strip), weak, end, unit, _ends(block, strip)))
     return found
 
 

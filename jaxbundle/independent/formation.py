@@ -10,7 +10,8 @@ C: errors that all points of the model share; R: those of the point alone. The l
 y-parallax are independent, and only the parallaxes determine the five elements; so e and R u are independent.
 """
 
-from typing import NamedTuple
+from collections.abc import Callable
+from typing import Any, NamedTuple
 
 import jax
 import jax.numpy as jnp
@@ -71,16 +72,16 @@ class Models(NamedTuple):
 class _Found(NamedTuple):
     """Of one model."""
 
-    used: Array
-    rotation: Array
-    base: Array
-    coordinates: Array
-    shared: Array
-    shared_base: Array
-    shared_angles: Array
-    own: Array
-    elements: Array
-    parallaxes: Array
+    used: Any
+    rotation: Any
+    base: Any
+    coordinates: Any
+    shared: Any
+    shared_base: Any
+    shared_angles: Any
+    own: Any
+    elements: Any
+    parallaxes: Any
 
 
 def form_models(block: Block, pairs: Int[np.ndarray, "model 2"]) -> Models:
@@ -175,7 +176,7 @@ def _formed(rotation: Array, base: Array, length: Array, arrays: tuple[Array, ..
     def points(d: Array, planes: Array) -> Array:
         return length * coplanarity.model_points(coplanarity.changed(at, d), shifted(planes))
 
-    def own(function: object) -> Array:
+    def own(function: Callable[[Array], Array]) -> Array:
         """Derivatives of what belongs to each point by its own four numbers."""
         columns = [jnp.zeros_like(planes).at[:, k].set(1.0) for k in range(4)]
         by_plane = jnp.stack([jax.jvp(function, (planes,), (column,))[1] for column in columns], -1)

@@ -150,7 +150,7 @@ def _moved(vectors: Float[np.ndarray, "point 3"], state: _State) -> sp.csr_matri
     x, y, z = vectors.T
     zero = np.zeros_like(x)
     cross = np.stack([zero, z, -y, -z, zero, x, y, -x, zero], 1).reshape(-1, 3)  # turn x v = -[v]x turn
-    return sp.csr_matrix(vectors.reshape(-1, 1)) @ state.scale_error + sp.csr_matrix(cross) @ state.turn
+    return sp.csr_matrix(sp.csr_matrix(vectors.reshape(-1, 1)) @ state.scale_error + sp.csr_matrix(cross) @ state.turn)
 
 
 def _strip(
@@ -161,7 +161,7 @@ def _strip(
     scatter: float,
 ) -> Strip:
     """Points of all models of a strip in one system; of a point in several models the mean."""
-    rays = states[0].turn.shape[1] // 2
+    rays = int(np.shape(states[0].turn)[1]) // 2
     images = np.array([models.pair[part[0], 0], *models.pair[part, 1]])
     last = states[-1]
     rotation = np.stack([*(s.rotation for s in states), last.rotation @ models.rotation[part[-1]]])

@@ -38,17 +38,16 @@ class Supported(NamedTuple):
 
 def full_control(block: Block) -> Bool[np.ndarray, " point"]:
     """Points whose three coordinates are fixed or observed."""
-    known = ~block.structure.point_free
-    known = known.copy()
+    known = np.array(~block.structure.point_free)
     for group in block.groups:
         if group.structure.kind is CONTROL:
             known[group.structure.indices[:, 0]] |= group.structure.observed
-    return known.all(1)
+    return np.asarray(known.all(1))
 
 
 def observed_stations(block: Block) -> Bool[np.ndarray, " image"]:
     """Images whose projection centre is observed or fixed."""
-    known = (~block.structure.exterior_free[:, :3]).all(1)
+    known = np.array((~block.structure.exterior_free[:, :3]).all(1))
     for group in block.groups:
         kind = group.structure.kind
         if kind.table == "stations" and kind.touches[0] == "image":
@@ -56,8 +55,8 @@ def observed_stations(block: Block) -> Bool[np.ndarray, " image"]:
     return known
 
 
-def missing_control(name: str, s: Supported, bands: int) -> list[Finding]:
-    """The bands and edges of a strip that nothing supports."""
+def missing_control(name: str, s: Supported, bands: int, images: tuple[str, ...] = ()) -> list[Finding]:
+    """The bands and edges of a strip that nothing supports. `images`: those at its ends."""
     limits = np.linspace(-1, 1, bands + 1)
     limits[0], limits[-1] = -np.inf, np.inf
     found = []
@@ -76,12 +75,12 @@ def missing_control(name: str, s: Supported, bands: int) -> list[Finding]:
         band = where if bands == 3 or k in (0, 3) else f"{where} quarter"
         what = f"{name} has no control {edge} {band}, which polynomials of degree {bands - 1} need"
         cure = "add points with X, Y, Z there, or adjust by models"
-        found.append(Finding(Kind.WEAK, what, cure, (Subject("images", (name,)),)))
+        found.append(Finding(Kind.WEAK, what, cure, tuple(Subject("images", (image,)) for image in images)))
     return found
 
 
-def swinging(name: str, terms: list[str], end: float, unit: str) -> Finding:
-    """Coefficients that nothing but their curb determines."""
+def swinging(name: str, terms: list[str], end: float, unit: str, images: tuple[str, ...] = ()) -> Finding:
+    """Coefficients that nothing but their curb determines. `end`: the expected error; `images`: those at the ends."""
     what = f"{name}: {', '.join(terms)} are determined by the expected errors of the strip rather than by control"
     cure = f"add control inside the strip; there its points may be wrong by {figure(end, 2)} {unit}"
-    return Finding(Kind.WEAK, what, cure, (Subject("images", (name,)),), end, unit)
+    return Finding(Kind.WEAK, what, cure, tuple(Subject("images", (image,)) for image in images), end, unit)

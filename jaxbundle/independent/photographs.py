@@ -37,7 +37,7 @@ class Oriented(NamedTuple):
     @property
     def known(self) -> Bool[np.ndarray, " image"]:
         """Which images have an orientation."""
-        return np.isfinite(self.exterior).all(1)
+        return np.asarray(np.isfinite(self.exterior).all(1))
 
 
 @Compiled

@@ -45,6 +45,11 @@ def propagated(adjustment: Adjustment, errors: sp.csr_matrix) -> Propagated | No
     if structure.unknowns > MAX_UNKNOWNS or adjustment.cofactors is None or adjustment.undetermined:
         return None
     system = dense_system(adjustment)
+    if adjustment.reweighting is not None:  # the system has the weights of the last round
+        roots = np.ones(np.shape(errors)[0])
+        of_rays = np.repeat(np.sqrt(np.asarray(adjustment.reweighting.weights)), structure.model.components)
+        roots[: len(of_rays)] = of_rays
+        errors = sp.csr_matrix(sp.diags(roots) @ errors)
     covariance = sp.csr_matrix(errors @ errors.T)
     explained = system.orthogonal.T @ (covariance @ system.orthogonal)
     expected = float(covariance.diagonal().sum() - np.trace(explained))
@@ -63,12 +68,10 @@ def all_errors(block: Block, of_rays: sp.csr_matrix, of_priors: sp.csr_matrix | 
     independent = np.concatenate([np.zeros(0, bool), *(masks if of_priors is None else masks[:-1])])
     others = sp.identity(len(independent), format="csr").multiply(independent[:, None])
     columns = sp.csr_matrix(others)[:, independent]
-    rays = of_rays if of_priors is None else sp.vstack([of_rays, of_priors])
-    both = sp.block_diag([rays, columns], format="csr")
-    seen = of_rays.shape[0]
-    if of_priors is None:
-        return both
-    return sp.vstack([both[:seen], both[rays.shape[0] :], both[seen : rays.shape[0]]], format="csr")
+    rays = of_rays if of_priors is None else sp.csr_matrix(sp.vstack([of_rays, of_priors]))
+    both = sp.csr_matrix(sp.block_diag([rays, columns]))
+    seen, end, count = (int(np.shape(matrix)[0]) for matrix in (of_rays, rays, both))
+    return sp.csr_matrix(both[np.concatenate([np.arange(seen), np.arange(end, count), np.arange(seen, end)])])
 
 
 def model_errors(models: Models, block: Block, rays: int, estimate_shared: bool) -> sp.csr_matrix:
@@ -87,9 +90,8 @@ def model_errors(models: Models, block: Block, rays: int, estimate_shared: bool)
         # the unknown is the correction, minus the error; the scale has no prior
         priors.append(sp.vstack([sp.csr_matrix((1, 2 * rays)), -e]))
         at += len(used) + 2
-    return all_errors(
-        block, sp.vstack(parts, format="csr"), sp.vstack(priors, format="csr") if estimate_shared else None
-    )
+    of_rays, of_priors = sp.csr_matrix(sp.vstack(parts)), sp.csr_matrix(sp.vstack(priors))
+    return all_errors(block, of_rays, of_priors if estimate_shared else None)
 
 
 def whitening(factor: Float[np.ndarray, "ray 3 3"]) -> sp.csr_matrix:

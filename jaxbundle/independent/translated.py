@@ -88,7 +88,7 @@ def translated(
             )
             continue
         indices = _indices(group, stand)
-        takes_part = (indices >= 0).all(1)
+        takes_part = np.asarray((indices >= 0).all(1))
         if not takes_part.all():
             told.append(_unused(group, ~takes_part, names))
         if takes_part.any():

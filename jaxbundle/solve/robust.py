@@ -4,7 +4,7 @@
     weight    w(t) = rho'(t) / t                                              of the next least-squares adjustment
 
 s is the rays' own standard deviation of unit weight, free of gross errors: the median of t over that of the length of
-a normal vector in the plane, sqrt(2 ln 2), and over the square root of the mean redundancy number, since residuals are
+a normal vector, in the plane sqrt(2 ln 2), and over the square root of the mean redundancy number, since residuals are
 smaller than errors. Weight functions that forget large residuals altogether have many minima: they start from Huber's.
 """
 
@@ -15,6 +15,7 @@ from typing import NamedTuple
 import equinox as eqx
 import numpy as np
 from jaxtyping import Float
+from scipy.special import gammaincinv
 
 from jaxbundle.block.block import Block
 from jaxbundle.block.findings import Finding, Kind, Subject
@@ -22,7 +23,6 @@ from jaxbundle.numerics.host import on_device
 from jaxbundle.solve.adjustment import Adjustment, Reweighting, Status
 from jaxbundle.solve.weight_functions import AbstractWeightFunction, Huber, with_weights
 
-MEDIAN_LENGTH = float(np.sqrt(2 * np.log(2)))  # of a vector of two standard normal numbers
 SETTLED = 1e-4  # change of a weight below which the weights are at rest
 MOST_ROUNDS = 50
 FAILED_ROUNDS = 2  # in a row whose adjustment does not converge: one may start far off, of two the next is no better
@@ -115,5 +115,11 @@ def normed_lengths(adjustment: Adjustment, sigmas: np.ndarray, weights: np.ndarr
     """t of every ray; the scale comes from the rays that have a weight."""
     t = np.linalg.norm(np.asarray(adjustment.residuals[0]) / sigmas, axis=1)
     redundancy = np.clip(adjustment.redundancy / adjustment.observations, 0.05, 1.0)
-    scale = np.median(t[weights > 0.01] if (weights > 0.01).any() else t) / MEDIAN_LENGTH / np.sqrt(redundancy)
+    scale = np.median(t[weights > 0.01] if (weights > 0.01).any() else t) / np.sqrt(redundancy)
+    scale /= median_length(sigmas.shape[1])
     return t / max(scale, np.finfo(float).tiny)
+
+
+def median_length(components: int) -> float:
+    """Median of the length of a vector of so many standard normal numbers, sqrt(2 ln 2) of two."""
+    return float(np.sqrt(2 * gammaincinv(components / 2, 0.5)))

@@ -1,5 +1,7 @@
 """Independent models: how they are formed, adjusted, and what they start."""
 
+import json
+
 import equinox as eqx
 import jax.numpy as jnp
 import numpy as np
@@ -8,6 +10,7 @@ import pytest
 import jaxbundle as jb
 from jaxbundle.block.findings import Kind
 from jaxbundle.block.unknowns import unknowns_of
+from jaxbundle.independent import propagation
 from jaxbundle.independent.adjust_models import fixed_interior, formed
 from jaxbundle.independent.chains import chains
 from jaxbundle.independent.formation import Models
@@ -105,6 +108,21 @@ def test_a_kind_that_touches_images_touches_models():
     of_image = kind.residuals((((4.0, 5.0, 6.0), turned), *zeros), (0.0,) * 3, (0.0,))
     of_model = new.residuals((image, (4.0, 5.0, 6.0), *zeros), (0.0,) * 3, (0.0, *turned))
     np.testing.assert_allclose(of_model, of_image)
+
+
+def test_report_has_the_tables_of_the_bundle(result, tmp_path, monkeypatch):
+    """The same columns of photographs and points, and the models themselves."""
+    monkeypatch.setattr(propagation, "MAX_UNKNOWNS", 0)  # the dense design matrix has a test of its own
+    folder = jb.write_method_report(result, tmp_path / "models")
+    data = json.loads((folder / "report.json").read_text())
+    assert set(data["files"]) == {path.name for path in folder.iterdir()}
+    assert data["method_of_adjustment"] == "models" and data["sigma0"] == float(result.adjustment.sigma0)
+    assert data["images"]["1_02"]["X0"][0] == float(result.block.exterior.projection_centre[1, 0])
+    assert set(data["models"]["1_01-1_02"]) >= {"X0", "Y0", "Z0", "omega", "phi", "kappa", "scale"}
+    head = (folder / "points.csv").read_text().splitlines()[0]
+    assert head == "point,X,Y,Z,sX,sY,sZ,rays"
+    text = (folder / "report.txt").read_text()
+    assert "independent models, 6 of two images, 7 unknowns each" in text and "centre of" not in data["points"]
 
 
 def test_gross_errors_leave_their_model(simulation):
