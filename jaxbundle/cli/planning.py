@@ -98,7 +98,10 @@ def sensitivity(
     point: Annotated[str, typer.Option(help="Name of the object point.", show_default=False)],
     coordinate: Annotated[Literal["X", "Y", "Z"], typer.Option(help="Its coordinate.")] = "Z",
     rows: Annotated[int, typer.Option(min=1, help="Rows of the table.")] = 15,
-    out: Annotated[Path | None, typer.Option("--out", "-o", help="File for all rows, CSV.", show_default=False)] = None,
+    out: Annotated[
+        Path | None,
+        typer.Option("--out", "-o", help="File for all rows, CSV; a map of them, SVG, beside it.", show_default=False),
+    ] = None,
 ) -> None:
     """What moves an adjusted coordinate: every observation, control coordinate and calibration value."""
     raise typer.Exit(_loaded().sensitivity_of(path, point, coordinate, rows, out))

@@ -97,7 +97,8 @@ def test_control_is_placed(run, tmp_path):
 
 
 @pytest.mark.thorough
-def test_what_moves_a_point_is_told(run):
+def test_what_moves_a_point_is_told(run, tmp_path):
     run("simulate", "flight.toml", "--out", "made")
     code, out, _ = run("sensitivity", "made/truth", "--point", "7", "--out", "effects.csv")
     assert code == 0 and "Z of point 7" in out and "principal_distance of camera (cameras) [mm]" in out
+    assert "point 7" in (tmp_path / "effects.svg").read_text()
