@@ -90,3 +90,16 @@ def test_leave_one_out(printed):
     out = printed("08_leave_one_out.py")
     agreeing = re.search(r"(\d+)% of the rays agree within 5%", out)
     assert agreeing and int(agreeing[1]) >= 95
+
+
+@pytest.mark.thorough
+def test_control_by_derivative(printed):
+    out = printed("09_control_by_derivative.py")
+    walk = re.search(r"walk against the gradient: ([\d. ]+)", out)
+    exchange = re.search(r"exchange over \d+ places: ([\d.]+), lower bound ([\d.]+)", out)
+    assert walk and exchange
+    values = [float(v) for v in walk[1].split()]
+    assert values == sorted(values, reverse=True) and values[-1] < values[0]
+    found, bound = map(float, exchange.groups())
+    assert bound < found < 1.02 * values[-1]
+    assert out.count("C") >= 4
