@@ -238,7 +238,7 @@ def laws(scale: float, parallax: float, camera: tuple[float, float], pairs: int,
     f, base = camera
     try:
         setup = accuracy_laws.StripSetup(scale, parallax / 1000, f / 1000, base / 1000)
-        rows = [(f"{pairs} stereopairs, m", "X", "Y", "Z")]
+        rows: list[tuple[str, ...]] = [(f"{pairs} stereopairs, m", "X", "Y", "Z")]
         for name, law in (("printed", accuracy_laws.PRINTED), ("bundle", accuracy_laws.BUNDLE)):
             rows.append((f"free end, {name}", *_metres(accuracy_laws.free_end(pairs, setup, law))))
             for ends in accuracy_laws.ENDS:
