@@ -6,20 +6,21 @@ positions, and they walk as long as the variance falls. The best four of all tie
 covariance, are the reference, and a convex relaxation says how much better any layout could be.
 """
 
+import dataclasses
+
 import jax
 import numpy as np
 
-import jaxbundle as jb
+from jaxbundle import planning as pl
 
 jax.config.update("jax_enable_x64", True)
-from jaxbundle import planning as pl  # noqa: E402
 
 base = 0.4 * 230 * 1500 / 153  # m: four tenths of an image on the ground
 unit = 0.005e-3 * 1500 / 0.153  # m: sigma of an image coordinate on the ground
-start = tuple((x * base, y * base) for x in (1.6, 4.4) for y in (0.2, 1.8))
+start = tuple((x * base, y * base) for x in (1.2, 2.8) for y in (0.2, 1.8))
 sigmas = (0.5 * unit,) * 3
 control = pl.ControlSet("points", sigmas=sigmas, points=start)
-plan = pl.FlightPlan(2, 7, side_overlap=0.2, ties=pl.Ties("grid", 12), tilt=0.0, scatter=0.0, control=(control,))
+plan = pl.schematic(strips=2, images=5, ties=pl.Ties("grid", 12), control=(control,))
 truth = pl.simulate_flight(plan).truth
 measure = pl.mean_variance()
 
@@ -32,10 +33,10 @@ for k, (x, y, _) in zip(found.control, found.control_positions, strict=True):
     change = 1000 * outwards * np.array([x, y]) / (2 * root)
     print(f"  point {truth.structure.point_names[k]:4}" + "".join(f"{c:9.4f}" for c in change))
 
-moved, values = pl.steepest_positions(truth, found.control, measure, reach=0.6 * base, steps=6)
+moved, values = pl.steepest_positions(truth, found.control, measure, reach=0.6 * base, steps=5)
 print("walk against the gradient:", " ".join(f"{v**0.5 / unit:.2f}" for v in values))
 
-free = jb.simulate(2, 7, side_overlap=0.2, relief=0.0, tilt=0.0, points_per_image=12, control_rows=0).truth
+free = pl.simulate_flight(dataclasses.replace(plan, control=())).truth
 candidates = pl.candidates_of(free, np.arange(len(free.structure.point_names)), sigmas)
 layout = pl.best_layout(candidates, 4)
 bound = layout.bound**0.5
@@ -51,6 +52,6 @@ for mark, places in (
     ("C", xy[layout.points]),
     ("+", np.asarray(moved.object_points)[found.control, :2]),
 ):
-    for column, row in np.round((places - low) / size * [60, 14]).astype(int):
+    for column, row in np.clip(np.round((places - low) / size * [60, 14]), 0, [60, 14]).astype(int):
         picture[14 - row][column] = mark
 print("\n".join("".join(row).rstrip() for row in picture))

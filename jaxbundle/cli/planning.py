@@ -3,7 +3,7 @@
 import importlib
 from pathlib import Path
 from types import ModuleType
-from typing import Annotated, Literal
+from typing import Annotated, Any, Literal
 
 import typer
 from typer.core import TyperGroup
@@ -12,7 +12,7 @@ from typer.core import TyperGroup
 class _WithDefault(TyperGroup):
     """`plan FLIGHT` is `plan flight FLIGHT`."""
 
-    def parse_args(self, ctx: typer.Context, args: list[str]) -> list[str]:
+    def parse_args(self, ctx: Any, args: list[str]) -> list[str]:
         if args and args[0] not in self.commands and not args[0].startswith("-"):
             args = ["flight", *args]
         return super().parse_args(ctx, args)
@@ -98,7 +98,10 @@ def sensitivity(
     point: Annotated[str, typer.Option(help="Name of the object point.", show_default=False)],
     coordinate: Annotated[Literal["X", "Y", "Z"], typer.Option(help="Its coordinate.")] = "Z",
     rows: Annotated[int, typer.Option(min=1, help="Rows of the table.")] = 15,
-    out: Annotated[Path | None, typer.Option("--out", "-o", help="File for all rows, CSV.", show_default=False)] = None,
+    out: Annotated[
+        Path | None,
+        typer.Option("--out", "-o", help="File for all rows, CSV; a map of them, SVG, beside it.", show_default=False),
+    ] = None,
 ) -> None:
     """What moves an adjusted coordinate: every observation, control coordinate and calibration value."""
     raise typer.Exit(_loaded().sensitivity_of(path, point, coordinate, rows, out))

@@ -17,7 +17,7 @@ from jaxbundle.planning.control_search import Layout, Objective, best_layout
 from jaxbundle.planning.design import derivatives_of
 from jaxbundle.planning.monte_carlo import monte_carlo as scatter_of
 from jaxbundle.planning.predict import predict
-from jaxbundle.planning.sensitivity import Effect, sensitivity
+from jaxbundle.planning.sensitivity import Effect, Sensitivity, sensitivity
 from jaxbundle.planning.simulate import simulate_flight
 from jaxbundle.report.planned import write_plan
 from jaxbundle.report.sigma_map import Map, sigma_map
@@ -164,6 +164,8 @@ def design(path: Path) -> int:
 
     rows = [("changed by", "root mean variance")]
     rows.append(("image sigma + 10 %", change(found.image_sigma, 0.1)))
+    if plan.gnss or plan.ins:
+        rows.append(("sigmas of the navigation + 10 %", change(found.navigation_sigma, 0.1)))
     rows.append(("forward overlap + 1 %", change(found.forward_overlap, 0.01)))
     rows.append(("side overlap + 1 %", change(found.side_overlap, 0.01)))
     rows.append(("flying height + 1 %", change(found.height, 0.01 * plan.height)))
@@ -199,6 +201,7 @@ def sensitivity_of(path: Path, point: str, coordinate: str, rows: int, out: Path
         table = [(f"{_who(e)} [{e.unit}]", f"{e.derivative * 0.001:+.4g}") for e in found.held[:rows]]
         typer.echo("\n".join(aligned(table)))
     if out is not None:
+        out.with_suffix(".svg").write_text(_effect_map(block, found, point, coordinate), encoding="utf-8")
         every = [*found.effects, *found.held]
         write_table(
             out,
@@ -212,6 +215,19 @@ def sensitivity_of(path: Path, point: str, coordinate: str, rows: int, out: Path
     return Code.ADJUSTED
 
 
+def _effect_map(block: Block, found: Sensitivity, point: str, coordinate: str) -> str:
+    """A map of how much the rays and the control of each point move a coordinate, one sigma each."""
+    s = block.structure
+    place, squares = {name: k for k, name in enumerate(s.point_names)}, np.zeros(len(s.point_names))
+    for effect in found.effects:
+        if effect.subject.table in ("rays", "control"):
+            squares[place[effect.subject.names[-1]]] += effect.effect**2
+    title = f"{s.name}: what the observations of each point do to {coordinate} of point {point}, one sigma each"
+    xy, stations = np.asarray(block.object_points)[:, :2], np.asarray(block.exterior.projection_centre)[:, :2]
+    unjudged = np.zeros(len(squares), bool)  # control is coloured too
+    return sigma_map(Map(title, s.object_unit, xy, np.sqrt(squares), unjudged, stations, s.point_names))
+
+
 def _who(effect: Effect) -> str:
     table, names, component = effect.subject
     return f"{component} of {' '.join(names)} ({table})"
@@ -222,7 +238,7 @@ def laws(scale: float, parallax: float, camera: tuple[float, float], pairs: int,
     f, base = camera
     try:
         setup = accuracy_laws.StripSetup(scale, parallax / 1000, f / 1000, base / 1000)
-        rows = [(f"{pairs} stereopairs, m", "X", "Y", "Z")]
+        rows: list[tuple[str, ...]] = [(f"{pairs} stereopairs, m", "X", "Y", "Z")]
         for name, law in (("printed", accuracy_laws.PRINTED), ("bundle", accuracy_laws.BUNDLE)):
             rows.append((f"free end, {name}", *_metres(accuracy_laws.free_end(pairs, setup, law))))
             for ends in accuracy_laws.ENDS:

@@ -58,6 +58,9 @@ def read_flight(path: str | Path) -> PlannedFlight:
     """
     file, noted = Path(path), Noted()
     file = file / "flight.toml" if file.is_dir() else file
+    if not file.exists():
+        noted.add(str(path), 0, "there is no such file", "give the path of a flight.toml, or of its folder")
+        raise noted.error()
     text = read_text(file, noted)
     raw = parsed_toml(file.name, text, noted) if text is not None else None
     settings = _settings(file.name, text, raw, noted) if text is not None and raw is not None else None

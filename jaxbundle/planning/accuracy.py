@@ -46,7 +46,8 @@ class Check(NamedTuple):
 class Summary(NamedTuple):
     """The predicted standard deviations of the judged points, object unit; `worst`: names of points."""
 
-    count: int
+    judged: int
+    """Number of points."""
     rms: Float[np.ndarray, "3"]
     median: Float[np.ndarray, "3"]
     maximum: Float[np.ndarray, "3"]
@@ -56,7 +57,7 @@ class Summary(NamedTuple):
 def control_of(block: Block) -> Bool[np.ndarray, " point"]:
     """Points with an observed or a fixed coordinate."""
     structure = block.structure
-    found = ~structure.point_free.all(1)
+    found = np.array(~structure.point_free.all(1))
     for group in block.groups:
         if group.structure.kind == CONTROL:
             members = group.structure.observed.any(1)

@@ -49,7 +49,7 @@ class Candidates(NamedTuple):
 def candidates_of(
     block: Block,
     points: Int[np.ndarray, " candidate"],
-    sigmas: tuple[float, float, float],
+    sigmas: tuple[float, ...],
     kind: str = "full",
     *,
     prior: float | None = None,

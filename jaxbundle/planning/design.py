@@ -16,7 +16,8 @@ from jaxtyping import Array, Float, Int
 
 from jaxbundle.block.block import Block
 from jaxbundle.block.datum import with_datum
-from jaxbundle.block.observations import CONTROL
+from jaxbundle.block.navigation import ATTITUDES, GNSS
+from jaxbundle.block.observations import CONTROL, STATIONS
 from jaxbundle.numerics.compilation import QUICKLY, RAYS_FOR_OPTIMISATION
 from jaxbundle.numerics.host import on_device
 from jaxbundle.planning.accuracy import Measure, control_of
@@ -45,6 +46,8 @@ class Derivatives(NamedTuple):
     """Per object unit; 0 for what is fixed or not observed."""
     image_sigma: float
     """Per unit of the sigma of all rays together, as a factor: per 100 % of it."""
+    navigation_sigma: float
+    """Per 100 % of the sigmas of all centres and attitudes observed in flight; 0 without them."""
     forward_overlap: float
     """Per unit of the overlap, a share: 0.01 is one percent."""
     side_overlap: float
@@ -75,8 +78,10 @@ def derivatives_of(block: Block, plan: FlightPlan, measure: Measure) -> Derivati
     differentiated = jax.jit(jax.value_and_grad(measured, argnums=(0, 1)), compiler_options=_compilation(block))
     value, (by_block, by_stretch) = differentiated(block, zero)
     control = np.flatnonzero(control_of(block))
-    sigmas = np.zeros((len(block.structure.point_names), 3))
+    sigmas, navigation = np.zeros((len(block.structure.point_names), 3)), 0.0
     for group, derivative in zip(block.groups, by_block.groups, strict=True):
+        if group.structure.kind in (STATIONS, GNSS, *ATTITUDES.values()):
+            navigation += float(jnp.sum(derivative.sigmas * group.sigmas * group.structure.observed))
         if group.structure.kind == CONTROL:
             observed = np.where(group.structure.observed, np.asarray(derivative.sigmas), 0.0)
             np.add.at(sigmas, group.structure.indices[:, 0], observed)
@@ -87,6 +92,7 @@ def derivatives_of(block: Block, plan: FlightPlan, measure: Measure) -> Derivati
         np.asarray(by_block.object_points)[control],
         sigmas[control],
         float(jnp.sum(by_block.rays.sigmas * block.rays.sigmas)),
+        navigation,
         -along / (1 - plan.forward_overlap),
         -across / (1 - plan.side_overlap),
         height / plan.height,

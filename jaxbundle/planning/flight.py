@@ -115,7 +115,7 @@ class ControlSet:
 
     layout: str = "rows"
     kind: str = "full"
-    sigmas: tuple[float, float, float] = (0.0, 0.0, 0.0)
+    sigmas: tuple[float, ...] = (0.0, 0.0, 0.0)
     count: int | None = None
     every: float = 2.0
     points: tuple[tuple[float, float], ...] = ()
@@ -135,7 +135,7 @@ class Navigation:
     projection centre to the antenna in the image system, or boresight angles; `offset_unknown`: the block estimates it.
     """
 
-    sigmas: tuple[float, float, float]
+    sigmas: tuple[float, ...]
     systematic: str = "none"
     shift: float = 0.0
     drift: float = 0.0
@@ -245,10 +245,12 @@ def plan_problems(plan: FlightPlan) -> list[str]:
     found += [
         f"a cross strip at {x} of the length; give shares from 0 to 1" for x in plan.cross_strips if not 0 <= x <= 1
     ]
-    names = {"tie point layout": (plan.ties.layout, TIE_LAYOUTS)}
+    names: dict[str, tuple[str, tuple[str, ...]]] = {"tie point layout": (plan.ties.layout, TIE_LAYOUTS)}
     for number, control in enumerate(plan.control, 1):
         names[f"layout of control {number}"] = control.layout, CONTROL_LAYOUTS
         names[f"kind of control {number}"] = control.kind, tuple(CONTROL_KINDS)
+        if len(control.sigmas) != 3:
+            found.append(f"control {number} has {len(control.sigmas)} sigmas; give those of X, Y and Z")
         if not control.every > 0 or (control.count is not None and control.count < 1):
             found.append(
                 f"control {number} stands every {control.every} bases, {control.count} times; give positive ones"
@@ -256,8 +258,8 @@ def plan_problems(plan: FlightPlan) -> list[str]:
     for name, navigation in (("gnss", plan.gnss), ("ins", plan.ins)):
         if navigation is not None:
             names[f"systematic errors of {name}"] = navigation.systematic, SYSTEMATIC_OF
-            if not min(navigation.sigmas) > 0:
-                found.append(f"sigmas of {name} are {navigation.sigmas}; give positive ones")
+            if len(navigation.sigmas) != 3 or not min(navigation.sigmas) > 0:
+                found.append(f"sigmas of {name} are {navigation.sigmas}; give three positive ones")
     found += [
         f"the {name} {value!r} is unknown; there are {', '.join(known)}"
         for name, (value, known) in names.items()

@@ -5,7 +5,7 @@ from typing import NamedTuple
 
 import numpy as np
 from jaxtyping import Bool, Float
-from scipy.spatial import cKDTree
+from scipy.spatial import KDTree
 
 from jaxbundle.planning.flight import ControlSet, FlightPlan
 from jaxbundle.planning.lines import Frame, Stations
@@ -142,7 +142,7 @@ def _snapped(
 ) -> GroundPoints:
     """Control and check points at the nearest tie points; control first."""
     known = np.full((len(ties), 3), np.nan)
-    tree, is_check = cKDTree(ties), np.zeros(len(ties), bool)
+    tree, is_check = KDTree(ties), np.zeros(len(ties), bool)
     if len(control):
         for place, sigma in zip(tree.query(control)[1], sigmas, strict=True):
             known[place] = np.fmin(known[place], sigma)

@@ -20,8 +20,16 @@ from jaxbundle.geometry.rotation import OMEGA_PHI_KAPPA
 from jaxbundle.planning.flight import FlightPlan, Navigation
 from jaxbundle.planning.scene import Scene
 
-CENTRES = ("lever_arm", "shift", "drift")
-ANGLES = ("boresight", "attitude_shift", "attitude_drift")
+
+class Table(NamedTuple):
+    """A kind of observation and the names of its systematic errors."""
+
+    kind: ObservationKind
+    vectors: tuple[str, str, str]
+
+
+CENTRES = Table(GNSS, ("lever_arm", "shift", "drift"))
+ANGLES = Table(ATTITUDES[OMEGA_PHI_KAPPA.name], ("boresight", "attitude_shift", "attitude_drift"))
 
 
 class Observed(NamedTuple):
@@ -44,15 +52,15 @@ def navigation_of(plan: FlightPlan, scene: Scene, rng: np.random.Generator) -> O
             sigmas = np.broadcast_to(plan.gnss.sigmas, scene.centres.shape)
             found = found._replace(groups=(observation_group(STATIONS, indices, scene.centres, sigmas),))
         else:
-            found = _with(found, GNSS, CENTRES, plan.gnss, scene, rng)
+            found = _with(found, CENTRES, plan.gnss, scene, rng)
     if plan.ins is not None:
-        found = _with(found, ATTITUDES[OMEGA_PHI_KAPPA.name], ANGLES, plan.ins, scene, rng)
+        found = _with(found, ANGLES, plan.ins, scene, rng)
     return found
 
 
-def _with(found: Observed, kind: ObservationKind, vectors: tuple[str, ...], given: Navigation, *drawn) -> Observed:
+def _with(found: Observed, table: Table, given: Navigation, scene: Scene, rng: np.random.Generator) -> Observed:
     """The observations of one kind, with nine parameters for each group of images."""
-    scene, rng = drawn
+    kind, vectors = table
     strips = scene.stations.strip if given.systematic == "strip" else np.zeros_like(scene.stations.strip)
     parameters, values, numbers = list(found.parameters), list(found.values), []
     for group in range(int(strips.max()) + 1):

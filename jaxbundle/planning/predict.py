@@ -38,9 +38,8 @@ from jaxbundle.statistics.reliability import LEVEL, POWER, Reliability, reliabil
 class Prediction(eqx.Module):
     """The predicted precision of a block. A pytree: jit, grad and vmap go through it.
 
-    `linearised` is the block with its exact observations as an adjustment without iterations; everything that takes an
-    adjustment and needs no residuals takes it, such as `jb.covariance_of`, whose covariances have to be divided by
-    sigma0^2 (here that of rounding).
+    `linearised` is the block with its exact observations as an adjustment without iterations, for what takes an
+    adjustment and needs neither residuals nor their sigma0, such as `jb.reliability`.
     """
 
     linearised: Adjustment
@@ -99,16 +98,16 @@ def predict(block: Block) -> Prediction:
     """
     require_a(Block, block, "predict")
     options = Options()  # refuses to work without float64
+    require_consistent(constant(block))
     if block.concrete:
-        require_valid(exact := with_exact_observations(block))
-        block = exact
-    else:
-        require_consistent(constant(block))
+        block = with_exact_observations(block)
+        require_valid(block)
     values = with_datum(constant(block))
     block = dataclasses.replace(block, structure=values.structure)
-    if not values.concrete and values.structure.datum.kind == "inner":
-        raise ValueError("a free network is predicted outside of jit, grad and vmap; there take a minimal datum")
-    block = block if values.concrete and block.concrete else with_exact_observations(block)
+    if not block.concrete:
+        if block.structure.datum.kind == "inner":
+            raise ValueError("a free network is predicted outside of jit, grad and vmap; there take a minimal datum")
+        block = with_exact_observations(block)
     origin = on_host(constant(block).exterior.projection_centre).mean(0)
     centred = block.moved(-origin)
     centres = np.asarray(values.exterior.projection_centre) if values.concrete else None

@@ -5,7 +5,7 @@ from typing import NamedTuple
 
 import numpy as np
 from jaxtyping import Bool, Float, Int
-from scipy.spatial import cKDTree
+from scipy.spatial import KDTree
 
 from jaxbundle.planning.flight import FlightPlan
 from jaxbundle.planning.ground import ground_points
@@ -29,7 +29,7 @@ class Scene(NamedTuple):
     @property
     def is_control(self) -> Bool[np.ndarray, " point"]:
         """Which points have an observed or fixed coordinate."""
-        return np.isfinite(self.control).any(1)
+        return np.array(np.isfinite(self.control).any(1))
 
 
 class Incidence(NamedTuple):
@@ -61,7 +61,7 @@ def near_pairs(plan: FlightPlan, scene: Scene) -> Incidence:
     ground = scene.centres[:, 2].mean() - plan.height
     depth = np.abs(scene.points[:, 2] - ground).max(initial=0.0) / plan.height
     reach = (0.5 + depth + swing) * np.array(frame.footprint) + (swing + 1e-6) * plan.height
-    tree = cKDTree(scene.points[:, :2])
+    tree = KDTree(scene.points[:, :2])
     found = tree.query_ball_point(scene.centres[:, :2], math.hypot(*reach))
     image = np.repeat(np.arange(len(found)), [len(f) for f in found])
     point = np.concatenate([np.asarray(f, int) for f in found])

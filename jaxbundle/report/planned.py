@@ -84,7 +84,7 @@ def _deviations(prediction: Prediction, plan: FlightPlan) -> list[str]:
     ]
     rows.append(("worst point", *numbers.worst))
     rows.append(("rms in sigma0 m", *(f"{x / unit:.2f}" for x in numbers.rms)))
-    count = counted(numbers.count, "point")
+    count = counted(numbers.judged, "point")
     return [f"Standard deviations of {count} {where}, {prediction.block.structure.object_unit}", *aligned(rows)]
 
 

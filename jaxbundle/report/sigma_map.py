@@ -58,7 +58,7 @@ def sigma_map(shown: Map) -> str:
     for k in judged:
         x, y = at(shown.points[k])
         share = (shown.sigmas[k] - least) / (most - least or 1.0)
-        told = f"{escape(shown.names[k])}: {shown.sigmas[k]:.4g} {shown.unit}"
+        told = f"{escape(shown.names[int(k)])}: {shown.sigmas[k]:.4g} {shown.unit}"
         parts.append(
             f'<circle cx="{x:.1f}" cy="{y:.1f}" r="4.5" fill="{_colour(share)}"><title>{told}</title></circle>'
         )
@@ -66,7 +66,7 @@ def sigma_map(shown: Map) -> str:
         x, y = at(shown.points[k])
         parts.append(
             f'<path d="M{x:.1f} {y - 8:.1f}l7 13h-14z" fill="none" stroke="red" stroke-width="2">'
-            f"<title>control {escape(shown.names[k])}</title></path>"
+            f"<title>control {escape(shown.names[int(k)])}</title></path>"
         )
     if len(judged):
         x, y = at(shown.points[judged[values.argmax()]])

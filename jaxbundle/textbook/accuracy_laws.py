@@ -142,7 +142,8 @@ def tied_middle(
         law: the constants, PRINTED or BUNDLE.
         ends: "hinged", the printed rule, or "clamped", two XYZ points across each end (`ENDS`).
 
-    Returns: standard deviations in the unit of the parallax error.
+    Returns: standard deviations in the unit of the parallax error. The printed example, 0.08, 0.05, 0.08 mm for ten
+    stereopairs, is reproduced in Y only: 0.087, 0.045, 0.0735 mm.
 
     Raises: ValueError for unknown ends.
     """

@@ -26,7 +26,7 @@ sigma = [0.05, 0.05, 0.08]
 [gross_errors]
 share = 0.02
 [specification]
-xy = 0.1
+xy = 0.5
 z = {z}
 """
 
@@ -37,7 +37,7 @@ def run(tmp_path, monkeypatch, capsys):
     monkeypatch.chdir(tmp_path)
     monkeypatch.setattr(runtime, "start", lambda cluster=None: None)  # it sets JAX up for the whole process
 
-    def call(*arguments, z=0.5):
+    def call(*arguments, z=1.0):
         (tmp_path / "flight.toml").write_text(FLIGHT.format(z=z))
         monkeypatch.setattr(sys, "argv", ["jaxbundle", "plan", *map(str, arguments)])
         with pytest.raises(SystemExit) as ended:
@@ -59,7 +59,7 @@ def test_laws(run):
 
 def test_a_flight_is_predicted(run, tmp_path):
     code, out, _ = run("flight.toml", "--out", "plan")
-    assert code == 0 and "The flight keeps the specification X, Y 0.1 m, Z 0.5 m at 95% of the points" in out
+    assert code == 0 and "The flight keeps the specification X, Y 0.5 m, Z 1 m at 95% of the points" in out
     found = json.loads((tmp_path / "plan" / "prediction.json").read_text())
     assert found["specification"]["passed"] and found["control_points"] == 4 and found["undetermined"] == []
     for name in ("sigma_XY.svg", "sigma_Z.svg"):
@@ -82,7 +82,7 @@ def test_a_flight_is_simulated(run, tmp_path):
 
 def test_wrong_flights_end_with_code_2(run):
     code, _, err = run("nowhere.toml")
-    assert code == 2 and "nowhere.toml: is missing" in err
+    assert code == 2 and "nowhere.toml: there is no such file; give the path" in err
     code, _, err = run("sensitivity", "nowhere", "--point", "1")
     assert code == 2
 
@@ -97,7 +97,8 @@ def test_control_is_placed(run, tmp_path):
 
 
 @pytest.mark.thorough
-def test_what_moves_a_point_is_told(run):
+def test_what_moves_a_point_is_told(run, tmp_path):
     run("simulate", "flight.toml", "--out", "made")
     code, out, _ = run("sensitivity", "made/truth", "--point", "7", "--out", "effects.csv")
     assert code == 0 and "Z of point 7" in out and "principal_distance of camera (cameras) [mm]" in out
+    assert "point 7" in (tmp_path / "effects.svg").read_text()

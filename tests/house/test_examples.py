@@ -90,3 +90,26 @@ def test_leave_one_out(printed):
     out = printed("08_leave_one_out.py")
     agreeing = re.search(r"(\d+)% of the rays agree within 5%", out)
     assert agreeing and int(agreeing[1]) >= 95
+
+
+@pytest.mark.thorough
+def test_control_by_derivative(printed):
+    out = printed("09_control_by_derivative.py")
+    walk = re.search(r"walk against the gradient: ([\d. ]+)", out)
+    exchange = re.search(r"exchange over \d+ places: ([\d.]+), lower bound ([\d.]+)", out)
+    assert walk and exchange
+    values = [float(v) for v in walk[1].split()]
+    assert values == sorted(values, reverse=True) and values[-1] < values[0]
+    found, bound = map(float, exchange.groups())
+    assert bound < found < 1.02 * values[-1]
+    assert out.count("C") >= 4
+
+
+@pytest.mark.thorough
+def test_strip_before_the_flight(printed):
+    out = printed("10_strip_before_the_flight.py")
+    rows = {m[1].strip(): [float(x) for x in m[2].split()] for m in re.finditer(r"(?m)^(\D+?)((?: +[\d.]+){3})$", out)}
+    assert rows["free end, bundle"] == pytest.approx([26.52, 20.81, 48.68], abs=0.02)
+    assert rows["its cubic in n"] == pytest.approx(rows["free end, bundle"], rel=2e-3)
+    assert rows["middle, pairs across the ends, bundle"] == pytest.approx([3.84, 3.90, 13.54], abs=0.02)
+    assert rows["middle, single points, bundle"] == pytest.approx([7.84, 6.39, 13.84], abs=0.02)

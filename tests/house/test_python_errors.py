@@ -31,6 +31,7 @@ def result(block):
 
 OF_BLOCKS = {
     "adjust": (),
+    "predict": (),
     "variance_components": (),
     "validate": (),
     "with_datum": (),

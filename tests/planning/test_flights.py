@@ -1,5 +1,6 @@
 """Flights: what is flown where, where control stands, and what is refused."""
 
+import dataclasses
 import math
 
 import numpy as np
@@ -80,7 +81,7 @@ def test_control_layouts_in_a_rectangle():
         (ControlSet("chains", every=4), 9),
         (ControlSet("points", points=((0.0, 0.0), (900.0, 10.0))), 2),
     ):
-        known = points_of(FlightPlan(**{**vars(plan), "control": (control,)})).sigmas
+        known = points_of(dataclasses.replace(plan, control=(control,))).sigmas
         assert np.isfinite(known).any(1).sum() == count, control
 
 
