@@ -38,7 +38,7 @@ class Anchors(NamedTuple):
     object_points: Float[np.ndarray, "anchor 3"]
     sigmas: Float[np.ndarray, "anchor 3"]
     is_point: Bool[np.ndarray, " anchor"]
-    index: Int[np.ndarray, " anchor"]
+    number: Int[np.ndarray, " anchor"]
     """Number of the point or of the image."""
 
     @property

@@ -105,8 +105,10 @@ def _oriented(
     """One round of pairs that fill a call."""
     uniform = np.where(rays.valid[chosen][:, None], rng.random((PAIRS, SAMPLES, RAYS)), 2.0)
     samples = uniform.argpartition(5, axis=2)[:, :, :5].transpose(2, 1, 0)
+    first, second = (on_device(np.ascontiguousarray(x[chosen].transpose(2, 1, 0))) for x in (rays.first, rays.second))
     part = PairRays(
-        *(on_device(np.ascontiguousarray(x[chosen].transpose(2, 1, 0))) for x in (rays.first, rays.second)),
+        first,
+        second,
         on_device(np.ascontiguousarray(rays.variance[chosen].T)),
         on_device(np.ascontiguousarray(rays.valid[chosen].T)),
     )

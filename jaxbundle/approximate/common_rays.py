@@ -5,7 +5,7 @@ spanning tree are added, so that what holds together is not cut. Of many common 
 over the first image: few from each cell of it.
 """
 
-from typing import NamedTuple
+from typing import Any, NamedTuple
 
 import numpy as np
 import scipy.sparse
@@ -63,8 +63,11 @@ def common_rays(directions: Directions) -> CommonRays:
     return CommonRays(pairs, tuple(rays))
 
 
-def _pairs(common: scipy.sparse.csr_matrix) -> Int[np.ndarray, "pair 2"]:
-    """The neighbours of each image with most common points, and a maximum spanning tree; the first image is smaller."""
+def _pairs(common: Any) -> Int[np.ndarray, "pair 2"]:
+    """The neighbours of each image with most common points, and a maximum spanning tree; the first image is smaller.
+
+    `common`: numbers of common points, a sparse matrix in rows.
+    """
     found = []
     for i in range(common.shape[0]):
         row = slice(common.indptr[i], common.indptr[i + 1])

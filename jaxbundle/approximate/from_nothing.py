@@ -37,6 +37,7 @@ ROUGH = 0.1  # fields; median angle off, with which a resection is believed
 BEHIND = 0.1  # share of the points behind an image that is resected
 WAVES = 20
 SUSPECT = 10.0  # typical misfits: a ray anywhere on its image is off by many more
+JOINING = 10  # passes with robust weights
 FEWEST = 3  # common points that bring a part into the system of another
 
 
@@ -51,7 +52,7 @@ class State(NamedTuple):
     @property
     def oriented(self) -> Bool[np.ndarray, " image"]:
         """Images that have an orientation."""
-        return np.isfinite(self.centre).all(1) & np.isfinite(self.rotation).all((1, 2))
+        return np.asarray(np.isfinite(self.centre).all(1) & np.isfinite(self.rotation).all((1, 2)))
 
 
 class _Work(NamedTuple):
@@ -118,7 +119,7 @@ def _approximate(block: Block, replaced: Bool[np.ndarray, " image"]) -> Approxim
     way = _way(work)
     rotation = np.where(given.oriented[:, None, None], sight.rotation, np.nan)
     centre = np.where(given.oriented[:, None], sight.centre, np.nan)
-    state = State(rotation, centre, np.where(np.isfinite(given.points).all(1)[:, None], given.points, np.nan),
+    state = State(rotation, centre, np.where(_finite(given.points)[:, None], given.points, np.nan),
                   np.ones(len(sight.image), bool))  # fmt: skip
     steps: list[Step] = []
     parts: list[tuple[np.ndarray, Basis]] = []
@@ -137,9 +138,14 @@ def _approximate(block: Block, replaced: Bool[np.ndarray, " image"]) -> Approxim
 def _way(work: _Work) -> Way:
     if work.given.oriented.all():
         return Way.GIVEN
-    known = np.isfinite(work.given.points).all(1)[work.sight.point]
+    known = _finite(work.given.points)[work.sight.point]
     rays = np.bincount(work.sight.image[known], minlength=len(work.sight.centre))
     return Way.RESECTION if (rays >= CONTROL_RAYS).mean() > MOST else Way.GLOBAL
+
+
+def _finite(rows: Float[np.ndarray, "row 3"]) -> Bool[np.ndarray, " row"]:
+    """Rows all of whose numbers are known."""
+    return np.asarray(np.isfinite(rows).all(1))
 
 
 def _rays(work: _Work, state: State, images: Bool[np.ndarray, " image"]) -> tuple[Rays, Int[np.ndarray, " ray"]]:
@@ -181,7 +187,7 @@ def _in_object_system(
         if main is None:
             main = points._replace(points=at(points.points))
         wrong = anchors.is_point & ~at.used & np.isfinite(at.misfits)
-        refused[anchors.index[wrong]] = True
+        refused[anchors.number[wrong]] = True
         parts.append((part.images, at.basis))
         steps.append(_placed_step(at, anchors.is_point))
     return state, parts, refused, steps
@@ -207,12 +213,12 @@ def _joined(own: Float[np.ndarray, "point 3"], others: Float[np.ndarray, "point 
     if common.sum() < FEWEST:
         return None
     x, o = own[common], others[common]
-    weight = np.ones(len(x))
-    for _ in range(10):
-        scale, rotation, shift, _ = closed_form(x, o, weight)
+    scale, rotation, shift, _ = closed_form(x, o, np.ones(len(x)))
+    misfit = np.linalg.norm(scale * x @ rotation.T + shift - o, axis=1)
+    for _ in range(JOINING):
+        scale, rotation, shift, _ = closed_form(x, o, 1 / (np.median(misfit) ** 2 + misfit**2 + 1e-300))
         misfit = np.linalg.norm(scale * x @ rotation.T + shift - o, axis=1)
-        weight = 1 / (np.median(misfit) ** 2 + misfit**2 + 1e-300)
-    return Placed(float(scale), rotation, shift, Basis.JOINED, misfit, misfit >= 0)
+    return Placed(float(scale), rotation, shift, Basis.JOINED, misfit, np.ones(len(x), bool))
 
 
 def _placed_step(at: Placed, is_point: Bool[np.ndarray, " anchor"]) -> Step:
@@ -229,7 +235,7 @@ def _placed_step(at: Placed, is_point: Bool[np.ndarray, " anchor"]) -> Step:
 def _waves(work: _Work, state: State) -> tuple[State, int]:
     """Images that are left, resected from the points that are known by then, until none joins any more."""
     total = 0
-    known = np.isfinite(work.given.points).all(1)
+    known = _finite(work.given.points)
     for _ in range(WAVES):
         left = np.flatnonzero(~state.oriented)
         if not len(left):
@@ -238,7 +244,7 @@ def _waves(work: _Work, state: State) -> tuple[State, int]:
         if state.oriented.any():
             found, _ = _met(work, state, state.oriented)
             points = np.where(known[:, None], points, found.points)
-        usable = np.isfinite(points).all(1)[work.sight.point]
+        usable = _finite(points)[work.sight.point]
         sight = work.sight._replace(rotation=state.rotation, centre=state.centre)
         of_control = np.isin(work.sight.image, left) & usable & ~known[work.sight.point]
         count = np.bincount(work.sight.image[usable], minlength=len(state.centre))

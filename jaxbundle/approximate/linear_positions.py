@@ -70,7 +70,9 @@ def chosen_points(
 def positions(lines: Lines) -> Positions:
     """The positions in which all lines meet best."""
     across = np.eye(3) - lines.along[:, :, None] * lines.along[:, None, :]
-    distance, fit = np.ones(len(lines.image)), lines.weight
+    count = len(lines.image)
+    distance, fit, depth, sine = np.ones(count), lines.weight, np.ones(count), np.zeros(count)
+    centre, values = np.zeros((lines.images, 3)), np.zeros(2)
     for _ in range(PASSES):
         weight = fit * lines.weight / (distance * lines.sigma / lines.sigma.min()) ** 2
         centre, values, points = _smallest(lines, weight[:, None, None] * across)

@@ -9,6 +9,9 @@ have it. The real roots of the determinant are searched as changes of its sign o
 so that large roots are found as well as small ones.
 """
 
+from functools import reduce
+from operator import add
+
 import jax.numpy as jnp
 import numpy as np
 from jax import lax
@@ -42,7 +45,7 @@ def essential_matrices(
     rows = [_row(equations[i], equations[i + 1]) for i in (4, 6, 8)]
     sine, cosine, exists = _roots(stored(_determinant(rows), zero), zero)
     z = sine / jnp.where(jnp.abs(cosine) < 1e-12, 1e-12, cosine)
-    vectors = [tuple(_value(c, z) for c in row) for row in rows]
+    vectors = [(_value(a, z), _value(b, z), _value(c, z)) for a, b, c in rows]
     products = [cross(vectors[i], vectors[j]) for i, j in ((0, 1), (0, 2), (1, 2))]
     x, y, w = products[0]
     for other in products[1:]:
@@ -70,7 +73,12 @@ def _null_space(rows: Float[Array, "5 9 sample"], zero: Int[Array, ""]) -> Float
 
 
 def _inner(a: Float[Array, "9 sample"], b: Float[Array, "9 sample"]) -> Float[Array, " sample"]:
-    return sum(a[i] * b[i] for i in range(9))  # written out: a reduction over a short axis is not vectorised
+    return _added([a[i] * b[i] for i in range(9)])  # written out: a reduction over a short axis is not vectorised
+
+
+def _added(terms: list[Array]) -> Array:
+    """The sum of a few arrays, term by term."""
+    return reduce(add, terms)
 
 
 def _eliminated(a: Float[Array, "n m sample"], zero: Int[Array, ""]) -> Float[Array, "n k sample"]:
@@ -99,9 +107,9 @@ def _eliminated(a: Float[Array, "n m sample"], zero: Int[Array, ""]) -> Float[Ar
 
 def _cubic_equations(n: Float[Array, "4 3 3 sample"]) -> Float[Array, "10 20 sample"]:
     """Coefficients of the ten equations, in the order of `five_points.MONOMIALS`."""
-    g = sum(n[:, None, :, None, k] * n[None, :, None, :, k] for k in range(3))
+    g = _added([n[:, None, :, None, k] * n[None, :, None, :, k] for k in range(3)])
     trace = g[:, :, 0, 0] + g[:, :, 1, 1] + g[:, :, 2, 2]
-    t = 2 * sum(g[:, :, None, :, None, k] * n[None, None, :, None, k] for k in range(3))
+    t = 2 * _added([g[:, :, None, :, None, k] * n[None, None, :, None, k] for k in range(3)])
     t = t - trace[:, :, None, None, None] * n[None, None]
     minors = {}
     for i, j in ((0, 1), (0, 2), (1, 2)):
@@ -126,7 +134,7 @@ def _row(with_z: Float[Array, "10 sample"], without: Float[Array, "10 sample"]) 
 
 def _product(a: Float[Array, "m sample"], b: Float[Array, "n sample"]) -> Float[Array, "k sample"]:
     m = a.shape[0]
-    return sum(jnp.pad(a[i] * b, ((i, m - 1 - i), (0, 0))) for i in range(m))
+    return _added([jnp.pad(a[i] * b, ((i, m - 1 - i), (0, 0))) for i in range(m)])
 
 
 def _determinant(m: list[tuple[Array, Array, Array]]) -> Float[Array, "11 sample"]:

@@ -153,7 +153,7 @@ def _refined(at: Motions, rays: PairRays, zero: Int[Array, ""]) -> Motions:
             products = [weight * row[i] * row[j] for i in range(5) for j in range(i + 1)]
             return sums + jnp.stack(jnp.broadcast_arrays(*products, *[weight * f * x for x in row]))
 
-        sums = lax.fori_loop(0, rays.valid.shape[0], turn, jnp.zeros((20, *t[0].shape)))
+        sums = lax.fori_loop(0, rays.valid.shape[0], turn, jnp.zeros((20, *jnp.shape(t[0]))))
         d = stored(_solved(list(sums[:15]), list(sums[15:])), zero)
         size = jnp.sqrt(sum(x * x for x in d))
         d = [-x / jnp.maximum(1.0, 2 * size) for x in d]  # no step beyond half a radian

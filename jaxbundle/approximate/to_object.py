@@ -132,13 +132,12 @@ def _by_triples(anchors: Anchors) -> Placed | None:
     extent = _extent(anchors)
     if used.sum() < 3 or np.median(misfit[used]) > WILD * extent:
         return None
+    at = closed_form(x, o, used / tolerance**2)
     for _ in range(PASSES):
-        weight = used / (tolerance**2 + misfit**2)
-        *at, d = closed_form(x, o, weight)
         misfit = np.linalg.norm(at[0] * x @ at[1].T + at[2] - o, axis=1)
-    if d[1] <= ON_A_LINE * d[0]:
-        return None
-    return _judged(anchors, tuple(at), Basis.ANCHORS)
+        at = closed_form(x, o, used / (tolerance**2 + misfit**2))
+    d = at[3]
+    return None if d[1] <= ON_A_LINE * d[0] else _judged(anchors, at, Basis.ANCHORS)
 
 
 def _by_attitudes(anchors: Anchors, views: Views) -> Placed | None:
@@ -157,13 +156,15 @@ def _by_attitudes(anchors: Anchors, views: Views) -> Placed | None:
 
 
 def _by_plan_and_height(anchors: Anchors, views: Views) -> Placed | None:
-    given = np.isfinite(anchors.object_points)
+    given = np.asarray(np.isfinite(anchors.object_points))
     if given[:, :2].all(1).sum() < 2 or given[:, 2].sum() < 3 or given.sum() < 7:
         return None
     extent = np.linalg.svd(anchors.model - anchors.model.mean(0), compute_uv=False)
     if extent[1] < FLAT * extent[0] or np.nanmax(np.nanstd(anchors.object_points, 0)) == 0:
         return None
-    o = np.where(given[:, :2].all(1)[:, None] | np.array([False, False, True]), anchors.object_points, np.nan)
+    o = np.where(
+        np.asarray(given[:, :2].all(1))[:, None] | np.array([False, False, True]), anchors.object_points, np.nan
+    )
     some = np.isfinite(o).any(1)
     sigmas = np.broadcast_to(_tolerances(anchors)[:, None], o.shape)[some]
     found = absolute_orientation(anchors.model[some], o[some], sigmas, projection_centres=views.centre)
@@ -217,5 +218,5 @@ def own_system(anchors: Anchors, views: Views) -> Placed:
     rotation = np.stack([frame[:, 1], frame[:, 2], frame[:, 0]])
     scale = 1 / base if base > 0 else 1.0
     shift = -scale * rotation @ centre.mean(0)
-    none = np.zeros(len(anchors.index))
+    none = np.zeros(len(anchors.number))
     return Placed(scale, rotation, shift, Basis.OWN, none + np.nan, none > 0)

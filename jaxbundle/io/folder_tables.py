@@ -161,9 +161,11 @@ def _images(table: Table, toml: BlockToml) -> ImageRows:
     if toml.camera_names is not None:
         table.positions("camera", toml.camera_names, FILE)
     columns = table.schema.of(Holds.VALUE)
-    blank = np.stack([(table.column(column) == "").to_numpy() for column in columns], 1).reshape(-1, 2, 3)
+    blank = np.stack([(table.column(column) == "").to_numpy() for column in columns], 1)
+    parts = blank[:, :3], blank[:, 3:]
     # a projection centre or attitude may be left empty as a whole: it is found from the rays
-    spared = np.flatnonzero((blank.all(2) | ~blank.any(2)).all(1))
+    whole = [np.asarray(part.all(1) | ~part.any(1)) for part in parts]
+    spared = np.flatnonzero(whole[0] & whole[1])
     orientations = table.numbers(*columns, spared=spared)
     return ImageRows(table, tuple(names), tuple(cameras), orientations[:, :3], orientations[:, 3:])
 

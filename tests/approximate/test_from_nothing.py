@@ -218,7 +218,7 @@ def test_motion_along_the_axis():
 def test_what_cannot_be_started():
     strips = aerial_block(1, 2, seed=5)
     with pytest.raises(TypeError):
-        jb.approximate("block")
+        jb.approximate("block")  # pyright: ignore[reportArgumentType]
     empty = dataclasses.replace(
         strips.block.structure, ray_image=np.zeros(0, np.int32), ray_point=np.zeros(0, np.int32)
     )

@@ -2,6 +2,7 @@
 
 import json
 
+import jax.numpy as jnp
 import numpy as np
 import pytest
 
@@ -10,6 +11,7 @@ from jaxbundle.approximate.two_images import eight_points
 from jaxbundle.geometry.rotation import ALPHA_OMEGA_KAPPA, OMEGA_PHI_KAPPA
 
 CENTRE, ANGLES = np.array([12.0, -7.0, 90.0]), np.array([0.1, -0.2, 0.7])
+INTERIOR = np.array([150.0, 1.5, -0.5, 1.0, 1.0])
 NONE = jb.CAMERA_MODELS["none"]
 
 
@@ -74,8 +76,7 @@ def test_bad_input(points, xy, message):
 
 def test_four_points_of_a_plane():
     square = np.array([[-20.0, -15, 1], [22, -14, 1], [18, 16, 1], [-19, 15, 1]])
-    interior = [150.0, 1.5, -0.5, 1.0, 1.0]
-    found = jb.planar_resection(NONE, interior, square, image(square))
+    found = jb.planar_resection(NONE, INTERIOR, square, image(square))
     np.testing.assert_allclose(found.better.projection_centre, CENTRE, rtol=1e-7)
     np.testing.assert_allclose(found.better.angles, ANGLES, rtol=1e-6)
     assert float(found.ratio) > 100 or not np.isfinite(float(found.ratio))
@@ -84,7 +85,7 @@ def test_four_points_of_a_plane():
 def test_a_small_plane_has_two_orientations():
     square = np.array([[-6.0, -5, 0], [6, -6, 0], [5, 6, 0], [-6, 6, 0]])
     noise = np.random.default_rng(3).normal(0, 0.02, (4, 2))
-    found = jb.planar_resection(NONE, [150.0, 1.5, -0.5, 1.0, 1.0], square, image(square) + noise, 0.02)
+    found = jb.planar_resection(NONE, INTERIOR, square, image(square) + noise, 0.02)
     assert bool(found.better.converged) and bool(found.other.converged)
     centres = np.stack([found.better.projection_centre, found.other.projection_centre])
     assert np.linalg.norm(centres - CENTRE, axis=1).min() < 25
@@ -94,11 +95,11 @@ def test_a_small_plane_has_two_orientations():
 def test_points_on_a_line_or_in_space_are_no_plane():
     line = np.c_[np.arange(5.0), np.zeros((5, 2))]
     with pytest.raises(ValueError, match="on a line"):
-        jb.planar_resection(NONE, [150.0, 0, 0, 1, 1], line, image(line))
+        jb.planar_resection(NONE, INTERIOR, line, image(line))
     with pytest.raises(ValueError, match="not lie in a plane"):
-        jb.planar_resection(NONE, [150.0, 0, 0, 1, 1], space(), image(space()))
+        jb.planar_resection(NONE, INTERIOR, space(), image(space()))
     with pytest.raises(ValueError, match="3 points of a plane"):
-        jb.planar_resection(NONE, [150.0, 0, 0, 1, 1], space(3), image(space(3)))
+        jb.planar_resection(NONE, INTERIOR, space(3), image(space(3)))
 
 
 @pytest.mark.thorough
@@ -106,7 +107,7 @@ def test_textbook_resection(shared_data):
     """Four control points of a course in photogrammetry, all printed digits."""
     example = json.loads((shared_data / "approximate" / "resection_wuhan.json").read_text())
     points, xy = np.array(example["object_m"]), np.array(example["image_mm"])
-    found = jb.resection(NONE, [example["f_mm"], 0, 0, 1, 1], points, xy, system=ALPHA_OMEGA_KAPPA)
+    found = jb.resection(NONE, np.array([example["f_mm"], 0, 0, 1, 1]), points, xy, system=ALPHA_OMEGA_KAPPA)
     published = example["published"]
     np.testing.assert_allclose(found.projection_centre, [published[k] for k in ("X0", "Y0", "Z0")], atol=0.01)
     np.testing.assert_allclose(found.angles, [published[k] for k in ("phi", "omega", "kappa")], atol=1e-4)
@@ -116,7 +117,7 @@ def test_textbook_resection(shared_data):
 
 def test_eight_points(shared_data):
     example = json.loads((shared_data / "approximate" / "eight_point_colmap.json").read_text())
-    e = np.asarray(eight_points(np.array(example["x1"]), np.array(example["x2"])))
+    e = np.asarray(eight_points(jnp.array(example["x1"]), jnp.array(example["x2"])))
     expected = np.array(example["E"])
     scale = np.sum(e * expected) / np.sum(e * e)
     np.testing.assert_allclose(scale * e, expected, atol=1e-5)

@@ -22,6 +22,7 @@ from jaxbundle.block.block import (
 )
 
 C, HALF, SIGMA = 1000.0, 700.0, 0.5  # px: principal distance, half of the format, standard deviation
+Scene = tuple[np.ndarray, np.ndarray, np.ndarray]
 KINDS = ("flat", "hilly", "cross strips", "strip", "ring", "rotations", "oblique")
 
 
@@ -43,7 +44,7 @@ def looking(direction: np.ndarray, up: np.ndarray) -> np.ndarray:
     return np.stack([x, np.cross(z, x), z], 1)
 
 
-def aerial(strips: int, images: int, points: int, rng: np.random.Generator, relief: float = 100.0) -> tuple:
+def aerial(strips: int, images: int, points: int, rng: np.random.Generator, relief: float = 100.0) -> Scene:
     """Centres, rotations and points of strips flown to and fro at 1000 m, 60 % and 30 % overlap."""
     k, i = np.meshgrid(np.arange(images), np.arange(strips))
     centre = np.c_[560.0 * k.ravel(), 980.0 * i.ravel(), np.full(k.size, 1000.0)] + rng.normal(0, 10, (k.size, 3))
@@ -56,7 +57,7 @@ def aerial(strips: int, images: int, points: int, rng: np.random.Generator, reli
     return centre, rotation, np.c_[xy, rng.uniform(-relief / 2, relief / 2, len(xy))]
 
 
-def scene(kind: str, rng: np.random.Generator, points: int = 60) -> tuple:
+def scene(kind: str, rng: np.random.Generator, points: int = 60) -> Scene:
     """Centres, rotations and points of a kind of block."""
     if kind in ("flat", "hilly"):
         return aerial(3, 5, points, rng, 0.0 if kind == "flat" else 200.0)

@@ -4,7 +4,7 @@ from pathlib import Path
 
 import numpy as np
 import pytest
-from cases.small_folder import IMAGES, orientations, write_small
+from cases.small_folder import IMAGES, make_small_folder, orientations
 
 import jaxbundle as jb
 from jaxbundle.block.findings import Kind, of_kind
@@ -13,7 +13,7 @@ from jaxbundle.cli import approximating
 
 @pytest.fixture
 def folder(tmp_path) -> Path:
-    write_small(tmp_path)
+    make_small_folder(tmp_path)
     rows = ["image,camera,X0,Y0,Z0,omega,phi,kappa", *(f"{name},wide,,,,,," for name in IMAGES)]
     (tmp_path / "images.csv").write_text("\n".join(rows) + "\n")
     return tmp_path
