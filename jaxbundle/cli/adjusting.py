@@ -14,6 +14,7 @@ from jaxbundle.block.changes import with_interior_held
 from jaxbundle.block.findings import Finding, Severity
 from jaxbundle.block.problems import BlockError
 from jaxbundle.cli.codes import BadInput, Code, LostProcess, told
+from jaxbundle.cli.forms import form_of, write_form
 from jaxbundle.cli.interruption import Interruption
 from jaxbundle.cli.progress import COMPILING, ProgressLines
 from jaxbundle.cli.runtime import finished
@@ -42,6 +43,8 @@ class Wanted(NamedTuple):
     hold_interior: bool
     sources: Sources = Sources()
     exports: tuple[Path, ...] = ()
+    write: Path | None = None
+    to: str = ""
 
 
 class Outcome(NamedTuple):
@@ -58,6 +61,7 @@ class Outcome(NamedTuple):
 def run(path: Path, out: Path | None, wanted: Wanted, stop: Interruption) -> int:
     """Adjusts, writes and prints; the exit code. Of several processes the first one writes and prints."""
     _require_exports(wanted.exports)
+    form = form_of(wanted.write, wanted.to) if wanted.write else ""
     folder, first = out or Path(f"{path.resolve().stem}-adjusted"), is_first_process()
     outcome = adjust_path(path, folder, wanted, ProgressLines(quiet=not first), stop)
     if first:
@@ -68,6 +72,9 @@ def run(path: Path, out: Path | None, wanted: Wanted, stop: Interruption) -> int
         for file in wanted.exports:
             export(outcome.adjustment, file)
             typer.echo(f"Export: {file}")
+        if wanted.write:
+            write_form(outcome.adjustment.block, wanted.write, form)
+            typer.echo(f"Adjusted block: {wanted.write}")
     finished()
     return outcome.code
 

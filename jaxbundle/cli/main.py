@@ -53,6 +53,14 @@ Sigmas = Annotated[
         metavar="PLAN,HEIGHT", help="Standard deviations of a table that has none, in m.", rich_help_panel=_SOURCES
     ),
 ]
+AttitudeSigma = Annotated[
+    float | None,
+    typer.Option(
+        metavar="DEG",
+        help="Observe the attitudes that stations bring along with this standard deviation.",
+        rich_help_panel=_SOURCES,
+    ),
+]
 Size = Annotated[
     str,
     typer.Option(
@@ -132,6 +140,13 @@ def adjust(
             show_default=False,
         ),
     ] = None,
+    write: Annotated[
+        Path | None,
+        typer.Option(help="Write the adjusted block here, as `convert` would.", show_default=False),
+    ] = None,
+    to: Annotated[
+        str, typer.Option(help="The format of --write, where its name does not tell it.", metavar="NAME")
+    ] = "",
     hold_interior: Annotated[bool, typer.Option("--hold-interior", help="Hold the interior of all cameras.")] = False,
     no_precision: Annotated[bool, typer.Option("--no-precision", help="No standard deviations.")] = False,
     robust: Annotated[
@@ -213,6 +228,7 @@ def adjust(
     stations: Stations = None,
     control_sigma: Sigmas = "",
     station_sigma: Sigmas = "",
+    attitude_sigma: AttitudeSigma = None,
     image_size: Size = "",
     chunk: Chunk = "",
     interior: Interior = "",
@@ -234,8 +250,8 @@ def adjust(
     cluster = cluster_of(coordinator, processes, process)
     if len(paths) > 1 and (checkpoint is not None or cluster is not None):
         raise typer.BadParameter("a --checkpoint and a cluster belong to one block; adjust the blocks one by one")
-    if show and len(paths) > 1:
-        raise typer.BadParameter("--export belongs to one block; adjust the blocks one by one")
+    if (show or write) and len(paths) > 1:
+        raise typer.BadParameter("--export and --write belong to one block; adjust the blocks one by one")
     if reduced == "pcg" and not no_precision:
         raise typer.BadParameter("--reduced pcg gives no standard deviations and needs --no-precision")
     if robust is not None and checkpoint is not None:
@@ -252,10 +268,30 @@ def adjust(
                 reduced=reduced,
                 robust=function,
             )
-            told = Told(form, control, stations, control_sigma, station_sigma, image_size, chunk, interior, pixel_size)
+            told = Told(
+                form,
+                control,
+                stations,
+                control_sigma,
+                station_sigma,
+                attitude_sigma,
+                image_size,
+                chunk,
+                interior,
+                pixel_size,
+            )
             sources = importlib.import_module("jaxbundle.cli.sources").sources_of(told)
             wanted = adjusting.Wanted(
-                options, stop, limit, tuple(unknown or ()), checkpoint, hold_interior, sources, tuple(show or ())
+                options,
+                stop,
+                limit,
+                tuple(unknown or ()),
+                checkpoint,
+                hold_interior,
+                sources,
+                tuple(show or ()),
+                write,
+                to,
             )
             if len(paths) == 1:
                 code = adjusting.run(paths[0], out, wanted, interruption)
@@ -298,6 +334,7 @@ def convert(
     stations: Stations = None,
     control_sigma: Sigmas = "",
     station_sigma: Sigmas = "",
+    attitude_sigma: AttitudeSigma = None,
     image_size: Size = "",
     chunk: Chunk = "",
     interior: Interior = "",
@@ -305,5 +342,7 @@ def convert(
 ) -> None:
     """Convert a block between the forms that are read and written, and say what the new form cannot hold."""
     converting = _loaded("converting")
-    told = Told(form, control, stations, control_sigma, station_sigma, image_size, chunk, interior, pixel_size)
+    told = Told(
+        form, control, stations, control_sigma, station_sigma, attitude_sigma, image_size, chunk, interior, pixel_size
+    )
     converting.run(path, out, to, importlib.import_module("jaxbundle.cli.sources").sources_of(told))
