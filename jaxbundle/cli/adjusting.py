@@ -16,8 +16,9 @@ from jaxbundle.block.changes import with_interior_held
 from jaxbundle.block.findings import Finding, Severity
 from jaxbundle.block.problems import BlockError
 from jaxbundle.cli.codes import BadInput, Code, LostProcess, told
+from jaxbundle.cli.forms import form_of, write_form
 from jaxbundle.cli.interruption import Interruption
-from jaxbundle.cli.methods import Methods, adjusted_by, require_folder_for_block, started, write_block
+from jaxbundle.cli.methods import Methods, adjusted_by, started
 from jaxbundle.cli.progress import COMPILING, ProgressLines
 from jaxbundle.cli.runtime import finished
 from jaxbundle.diagnosis.adjusted import findings
@@ -49,6 +50,8 @@ class Wanted(NamedTuple):
     methods: Methods = Methods()
     sources: Sources = Sources()
     exports: tuple[Path, ...] = ()
+    write: Path | None = None
+    to: str = ""
 
 
 class Outcome(NamedTuple):
@@ -62,10 +65,16 @@ class Outcome(NamedTuple):
     problem: str = ""
     result: MethodAdjustment | None = None  # of models or strips
 
+    @property
+    def block(self) -> Block:
+        """The adjusted block, of photographs for every method."""
+        return self.adjustment.block if self.result is None else self.result.block
+
 
 def run(path: Path, out: Path | None, wanted: Wanted, stop: Interruption) -> int:
     """Adjusts, writes and prints; the exit code. Of several processes the first one writes and prints."""
     _require_exports(wanted.exports)
+    form = form_of(wanted.write, wanted.to) if wanted.write else ""
     folder, first = out or Path(f"{path.resolve().stem}-adjusted"), is_first_process()
     outcome = adjust_path(path, folder, wanted, ProgressLines(quiet=not first), stop)
     if first:
@@ -76,6 +85,9 @@ def run(path: Path, out: Path | None, wanted: Wanted, stop: Interruption) -> int
         for file in wanted.exports:
             export(outcome.adjustment, file)
             typer.echo(f"Export: {file}")
+        if wanted.write:
+            write_form(outcome.block, wanted.write, form)
+            typer.echo(f"Adjusted block: {wanted.write}")
     finished()
     return outcome.code
 
@@ -101,7 +113,6 @@ def adjust_path(path: Path, folder: Path, wanted: Wanted, lines: ProgressLines, 
     block = with_interior_held(block) if wanted.hold_interior else block
     options, methods = dataclasses.replace(wanted.options, stop=stopping_rule(block, wanted)), wanted.methods
     if is_first_process():  # before the work, not after it
-        require_folder_for_block(methods)
         if methods.method == "bundle":
             require_place(folder, block, options.robust is not None)
         else:
@@ -126,9 +137,7 @@ def adjust_path(path: Path, folder: Path, wanted: Wanted, lines: ProgressLines, 
     if not is_first_process():
         return outcome._replace(folder=None)
     with lines.phase("writing"):
-        outcome = _written(outcome, made)
-        write_block(methods, adjustment.block if result is None else result.block)
-        return outcome
+        return _written(outcome, made)
 
 
 def _judged(outcome: Outcome, block: Block) -> Outcome:

@@ -18,22 +18,30 @@ from jaxbundle.cli import codes, planning
 from jaxbundle.cli.cluster import Cluster, cluster_of
 from jaxbundle.cli.interruption import Interruption
 from jaxbundle.cli.options import (
+    CLUSTER,
+    SOLVER,
+    AttitudeSigma,
     Block,
     Blocks,
     Chunk,
     Control,
+    Coordinator,
+    Exports,
     Form,
     Interior,
+    Limit,
     Out,
     PixelSize,
+    RobustLimit,
     Sigmas,
     Size,
     Stations,
+    Stop,
+    Unknown,
 )
 from jaxbundle.cli.told import Told
 
-_METHOD, _SOLVER = "Method", "Solver"  # headings in the help of adjust
-_CLUSTER = "Cluster: one block on several machines"
+_METHOD = "Method"  # a heading in the help of adjust
 _WORK, _LEARN, _CHECK = "Adjust", "Learn and start", "Check the program"  # headings in the list of commands
 _HELP = {"help_option_names": ["-h", "--help"]}
 
@@ -87,16 +95,14 @@ def adjust(
     paths: Blocks,
     out: Out = None,
     jobs: Annotated[int, typer.Option(min=1, help="Number of processes that adjust several blocks in parallel.")] = 1,
-    show: Annotated[
-        list[Path] | None,
-        typer.Option(
-            "--export",
-            metavar="FILE",
-            help="Points, images, residual vectors and error ellipses for other programs: .ply, .las, .laz, .geojson,"
-            " .gpkg, .kml or .dxf; may be repeated.",
-            show_default=False,
-        ),
+    show: Exports = None,
+    write: Annotated[
+        Path | None,
+        typer.Option(metavar="OUT", help="Write the adjusted block here, as `convert` would.", show_default=False),
     ] = None,
+    to: Annotated[
+        str, typer.Option(help="The format of --write, where its name does not tell it.", metavar="NAME")
+    ] = "",
     hold_interior: Annotated[
         bool, typer.Option("--hold-interior", help="Keep the interior orientation of all cameras fixed.")
     ] = False,
@@ -110,14 +116,7 @@ def adjust(
             show_default=False,
         ),
     ] = None,
-    robust_limit: Annotated[
-        float | None,
-        typer.Option(
-            metavar="K",
-            help="Limit of the weight function, in standard deviations (default: that of the function).",
-            show_default=False,
-        ),
-    ] = None,
+    robust_limit: RobustLimit = None,
     checkpoint: Annotated[
         Path | None,
         typer.Option(
@@ -148,74 +147,37 @@ def adjust(
         Literal["separate", "plan-conformal", "conformal"],
         typer.Option(help="Polynomials of strips: how X, Y and Z belong together.", rich_help_panel=_METHOD),
     ] = "separate",
-    adjusted_block: Annotated[
-        Path | None,
-        typer.Option(
-            metavar="FOLDER",
-            help="Write the block with the adjusted values there: the start of another adjustment.",
-            show_default=False,
-            rich_help_panel=_METHOD,
-        ),
-    ] = None,
-    stop: Annotated[
-        Literal["angle", "points", "parallax", "unknown"],
-        typer.Option(
-            rich_help_panel=_SOLVER,
-            help="Stopping rule: angle between the residuals and the tangent plane; largest change of a point"
-            " coordinate; decrease of the largest y-parallax; largest change of the named unknowns.",
-        ),
-    ] = "angle",
-    limit: Annotated[
-        float | None,
-        typer.Option(
-            help="Limit of the stopping rule: object unit for points, fraction of the principal distance for parallax,"
-            " unit of the unknown (angles in radians); default: 1e-8 for angle.",
-            show_default=False,
-            rich_help_panel=_SOLVER,
-        ),
-    ] = None,
-    unknown: Annotated[
-        list[str] | None,
-        typer.Option(
-            metavar="NAME:ELEMENT", help="Unknown of --stop unknown; may be repeated.", rich_help_panel=_SOLVER
-        ),
-    ] = None,
+    stop: Stop = "angle",
+    limit: Limit = None,
+    unknown: Unknown = None,
     max_iterations: Annotated[
-        int, typer.Option(min=1, help="Maximum number of iterations.", rich_help_panel=_SOLVER)
+        int, typer.Option(min=1, help="Maximum number of iterations.", rich_help_panel=SOLVER)
     ] = 200,
     engine: Annotated[
         Literal["block", "jaxopt"],
-        typer.Option(help="jaxopt: an independent solver for small blocks, to compare.", rich_help_panel=_SOLVER),
+        typer.Option(help="jaxopt: an independent solver for small blocks, to compare.", rich_help_panel=SOLVER),
     ] = "block",
     reduced: Annotated[
         Literal["auto", "dense", "panels", "pcg"],
         typer.Option(
-            help="How the reduced normal equations are solved; pcg needs --no-precision.", rich_help_panel=_SOLVER
+            help="How the reduced normal equations are solved; pcg needs --no-precision.", rich_help_panel=SOLVER
         ),
     ] = "auto",
-    coordinator: Annotated[
-        str | None,
-        typer.Option(
-            metavar="HOST:PORT",
-            help="Address of process 0 of a cluster, the same for all, in a trusted network; auto: taken from Slurm,"
-            " Open MPI or Kubernetes.",
-            show_default=False,
-            rich_help_panel=_CLUSTER,
-        ),
-    ] = None,
+    coordinator: Coordinator = None,
     processes: Annotated[
         int | None,
-        typer.Option(help="Number of processes of the cluster.", show_default=False, rich_help_panel=_CLUSTER),
+        typer.Option(help="Number of processes of the cluster.", show_default=False, rich_help_panel=CLUSTER),
     ] = None,
     process: Annotated[
         int | None,
-        typer.Option(help="Number of this process, starting at 0.", show_default=False, rich_help_panel=_CLUSTER),
+        typer.Option(help="Number of this process, starting at 0.", show_default=False, rich_help_panel=CLUSTER),
     ] = None,
     form: Form = "",
     control: Control = None,
     stations: Stations = None,
     control_sigma: Sigmas = "",
     station_sigma: Sigmas = "",
+    attitude_sigma: AttitudeSigma = None,
     image_size: Size = "",
     chunk: Chunk = "",
     interior: Interior = "",
@@ -237,8 +199,8 @@ def adjust(
     cluster = cluster_of(coordinator, processes, process)
     if len(paths) > 1 and (checkpoint is not None or cluster is not None):
         raise typer.BadParameter("a --checkpoint and a cluster belong to one block; adjust the blocks one by one")
-    if show and len(paths) > 1:
-        raise typer.BadParameter("--export belongs to one block; adjust the blocks one by one")
+    if (show or write) and len(paths) > 1:
+        raise typer.BadParameter("--export and --write belong to one block; adjust the blocks one by one")
     if reduced == "pcg" and not no_precision:
         raise typer.BadParameter("--reduced pcg gives no standard deviations and needs --no-precision")
     if robust is not None and checkpoint is not None:
@@ -250,8 +212,6 @@ def adjust(
         )
     if polynomials == "conformal" and degree != 2:
         raise typer.BadParameter("--polynomials conformal are of degree 2; others have degree 2 or 3")
-    if len(paths) > 1 and adjusted_block is not None:
-        raise typer.BadParameter("--adjusted-block is the folder of one block; adjust the blocks one by one")
     try:
         with Interruption() as interruption:
             adjusting = _loaded("adjusting", cluster)
@@ -264,8 +224,19 @@ def adjust(
                 reduced=reduced,
                 robust=function,
             )
-            methods = adjusting.Methods("bundle" if by_rays else method, start, degree, polynomials, adjusted_block)
-            told = Told(form, control, stations, control_sigma, station_sigma, image_size, chunk, interior, pixel_size)
+            methods = adjusting.Methods("bundle" if by_rays else method, start, degree, polynomials)
+            told = Told(
+                form,
+                control,
+                stations,
+                control_sigma,
+                station_sigma,
+                attitude_sigma,
+                image_size,
+                chunk,
+                interior,
+                pixel_size,
+            )
             sources = importlib.import_module("jaxbundle.cli.sources").sources_of(told)
             wanted = adjusting.Wanted(
                 options,
@@ -277,6 +248,8 @@ def adjust(
                 methods,
                 sources,
                 tuple(show or ()),
+                write,
+                to,
             )
             if len(paths) == 1:
                 code = adjusting.run(paths[0], out, wanted, interruption)
@@ -384,6 +357,7 @@ def convert(
     stations: Stations = None,
     control_sigma: Sigmas = "",
     station_sigma: Sigmas = "",
+    attitude_sigma: AttitudeSigma = None,
     image_size: Size = "",
     chunk: Chunk = "",
     interior: Interior = "",
@@ -391,5 +365,7 @@ def convert(
 ) -> None:
     """Convert a block between the forms that are read and written, and say what the new form cannot hold."""
     converting = _loaded("converting")
-    told = Told(form, control, stations, control_sigma, station_sigma, image_size, chunk, interior, pixel_size)
+    told = Told(
+        form, control, stations, control_sigma, station_sigma, attitude_sigma, image_size, chunk, interior, pixel_size
+    )
     converting.run(path, out, to, importlib.import_module("jaxbundle.cli.sources").sources_of(told))

@@ -21,6 +21,7 @@ def sources_of(told: Told) -> Sources:
         told.stations,
         _pair("--control-sigma", told.control_sigma),
         _pair("--station-sigma", told.station_sigma),
+        _positive("--attitude-sigma", told.attitude_sigma),
         ReadOptions(
             None if size is None else (round(size[0]), round(size[1])),
             _interior(told.interior),

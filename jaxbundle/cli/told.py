@@ -12,6 +12,7 @@ class Told(NamedTuple):
     stations: Path | None = None
     control_sigma: str = ""
     station_sigma: str = ""
+    attitude_sigma: float | None = None
     image_size: str = ""
     chunk: str = ""
     interior: str = ""

@@ -1,4 +1,4 @@
-"""Well-known forms of blocks and files that are not read: they are recognised and called by their name."""
+"""Well-known forms of blocks and files that are not read, or not complete: recognised and called by their name."""
 
 import codecs
 from pathlib import Path

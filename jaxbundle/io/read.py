@@ -66,14 +66,14 @@ def _format(path: Path, sources: Sources) -> Format | None:
         if (path / FILE).is_file() or (path.name == FILE and path.is_file()):
             return None
         head = b"" if path.is_dir() else file_bytes(path, HEAD)
+        forms = [] if is_bal(head) else recognised(path)
     except UnreadableError as error:
         what = "does not exist" if error.what == "is missing" else error.what
         raise BlockError([Problem(f"{shown(str(path), 300)} {what}", KNOWN)]) from error
     except OSError as error:
         raise BlockError([Problem(f"{shown(str(path), 300)} cannot be read: {error.strerror}", KNOWN)]) from error
-    if not path.is_dir() and is_bal(head):
+    if is_bal(head):
         return None
-    forms = recognised(path)
     if len(forms) == 1:
         return forms[0]
     if forms:
@@ -83,11 +83,19 @@ def _format(path: Path, sources: Sources) -> Format | None:
     raise _unknown_folder(path) if path.is_dir() else _unknown_file(path, head)
 
 
+def _recognised(path: Path) -> list[Format]:
+    """The formats of a path that is named in a message only; none where it cannot be looked at."""
+    try:
+        return recognised(path)
+    except OSError:
+        return []
+
+
 def _unknown_file(path: Path, head: bytes) -> BlockError:
     known, cure = known_file(path, head), KNOWN
     if (path.parent / FILE).is_file():
         known, cure = f"is a file of the block folder {path.parent}", "give the folder itself"
-    elif (form := next(iter(recognised(path.parent)), None)) is not None:
+    elif (form := next(iter(_recognised(path.parent)), None)) is not None:
         known, cure = f"is a file of {form.words}", f"give the folder {path.parent}"
     elif known:
         known = f"{known}, which is not read"
@@ -102,6 +110,6 @@ def _unknown_folder(folder: Path) -> BlockError:
         cure = f"write {FILE}: units, rotation system, cameras, sigma and the names of the tables"
         return BlockError([Problem(f"folder {folder} has tables and no {FILE}", cure)])
     below = sorted(path.parent.name for path in folder.glob(f"*/{FILE}"))
-    below = below or sorted(path.name for path in folder.iterdir() if path.is_dir() and recognised(path))
+    below = below or sorted(path.name for path in folder.glob("*") if path.is_dir() and _recognised(path))
     cure = f"give one of its folders: {', '.join(below[:10])}" if below else KNOWN
     return BlockError([Problem(f"folder {folder} has no {FILE}", cure)])

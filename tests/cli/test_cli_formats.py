@@ -1,5 +1,9 @@
 """Blocks of other programs on the command line."""
 
+import pytest
+
+from jaxbundle.io import read
+
 
 def test_blocks_of_other_programs(run, tmp_path, shared_data):
     """Read by content, with a table beside it; written by name or suffix, and what is lost is said."""
@@ -16,3 +20,15 @@ def test_blocks_of_other_programs(run, tmp_path, shared_data):
     assert run("convert", rig, "x", "--image-size", "big")[0] == 2
     assert run("convert", rig, "x", "--interior", "1,2")[0] == 2
     assert run("adjust", rig, "--export", "a.shp")[0] == 2
+    assert run("adjust", rig, "--write", "b.xml")[0] == 2  # it exists
+
+
+def test_an_adjusted_block_goes_back(run, tmp_path, shared_data):
+    rig = shared_data / "exchange" / "colmap" / "rig2_synthetic" / "bin"
+    options = ("--no-precision", "--write", "back", "--to", "colmap", "--export", "points.ply")
+    said = "Results: results\nExport: points.ply\nnot held by colmap: the datum\n"
+    code, out, _ = run("adjust", rig, "--out", "results", *options)
+    assert code == 0 and out.endswith(f"{said}Adjusted block: back\n")
+    again = read(tmp_path / "back", check_start=False)
+    (misfit,) = [finding for finding in again.structure.findings if "misfit" in finding.what]
+    assert 480 * 2 * misfit.size**2 == pytest.approx(183.75343, rel=1e-5)  # vTPv of the adjustment

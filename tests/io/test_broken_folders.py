@@ -332,7 +332,7 @@ def test_no_folder(tmp_path: Path, reader: Callable[[Path], object]) -> None:
 
 def test_no_block(tmp_path: Path) -> None:
     (tmp_path / "letter.txt").write_text("Dear colleague,\n")
-    with pytest.raises(BlockError, match="letter.txt is in no known form; give a folder with block.toml or a BAL"):
+    with pytest.raises(BlockError, match="letter.txt is in no known form; give a folder with block.toml, a BAL"):
         read(tmp_path / "letter.txt")
     with pytest.raises(BlockError, match="has no block.toml"):
         read(tmp_path)

@@ -8,11 +8,15 @@ convergence is subtracted from the yaw. OpenDroneMap and Metashape count pitch f
 pitch - 90.
 """
 
+import math
+
 import numpy as np
 from jaxtyping import Float
 
 from jaxbundle.geometry.rotation import Rotation, about_x, about_y, about_z, product
 from jaxbundle.io.formats import rotations
+from jaxbundle.io.formats.coordinates import convergence, is_metric_local
+from jaxbundle.io.formats.foreign_block import Known, triple
 
 _E = np.array([[0.0, 1, 0], [1, 0, 0], [0, 0, -1]])
 _B = np.array([[0.0, 0, 1], [1, 0, 0], [0, 1, 0]])
@@ -29,3 +33,26 @@ def rotations_of_gimbal(degrees: Float[np.ndarray, "image 3"]) -> Float[np.ndarr
     """
     turned = rotations.matrices(_yaw_pitch_roll, np.radians(np.asarray(degrees, float)))
     return _E @ turned @ _B @ rotations.DOWN_FORWARD
+
+
+def observed_attitudes(
+    attitudes: tuple[Known, ...], stations: tuple[Known, ...], system: str, sigma: float
+) -> tuple[Known, ...]:
+    """omega, phi, kappa in radians, observed with a standard deviation.
+
+    Args:
+        attitudes: yaw from true north, pitch and roll in degrees, by image.
+        stations: positions of the same images in the system of the block.
+        system: the text of that system; of a projected one the meridian convergence is subtracted from the yaw.
+        sigma: of each angle, in degrees.
+    """
+    places = {row.name: row.coordinates for row in stations}
+    rows = [row for row in attitudes if row.name in places and np.isfinite(row.coordinates).all()]
+    if not rows:
+        return ()
+    degrees = np.array([row.coordinates for row in rows])
+    if system and not is_metric_local(system):
+        degrees[:, 0] -= np.degrees(convergence(system, np.array([places[row.name] for row in rows])))
+    angles = rotations.to_angles(rotations_of_gimbal(degrees))
+    sigmas = (math.radians(sigma),) * 3
+    return tuple(Known(row.name, triple(angle), sigmas) for row, angle in zip(rows, angles.tolist(), strict=True))

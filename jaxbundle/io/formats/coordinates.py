@@ -24,7 +24,6 @@ UTM = re.compile(r"WGS\s*84\s+UTM\s+(\d{1,2})\s*([NS])", re.IGNORECASE)
 GEOGRAPHIC = re.compile(
     r"^(WGS\s*84|EPSG:4326|EPSG:4979)$|\+proj=(longlat|latlong)|^\s*GEOG(CS|CRS|RAPHICCRS)", re.IGNORECASE
 )
-WHAT = "a geographic coordinate system"
 
 
 def is_geographic(text: str) -> bool:

@@ -26,6 +26,7 @@ from jaxbundle.io.noted import Noted
 
 CONTROL_SIGMA = (0.05, 0.1)  # m, in plan and height: signalised points by GNSS, where a table has no sigmas
 STATION_SIGMA = (5.0, 30.0)  # m, in plan and height: navigation receivers of cameras, barometric heights
+NADIR = 90.0  # deg: this table counts the pitch from the nadir, a gimbal from the horizon
 CLOSE = 1.0  # m: two points of different coordinates and no name that lie so near are likely one
 
 
@@ -234,7 +235,7 @@ def _stems(names: tuple[str, ...]) -> dict[str, int]:
 
 @dataclass(frozen=True)
 class Positions:
-    """What a table of image positions tells; angles as yaw, pitch, roll in degrees."""
+    """What a table of image positions tells; `attitudes`: yaw, pitch and roll of a gimbal in degrees."""
 
     stations: tuple[Known, ...]
     attitudes: tuple[Known, ...]
@@ -243,7 +244,7 @@ class Positions:
 
 
 def read_positions(path: Path, sigma: tuple[float, float] | None = None) -> Positions:
-    """A geo.txt. Its yaw, pitch and roll are returned as they stand.
+    """A geo.txt.
 
     Raises: BlockError with all that is wrong.
     """
@@ -266,7 +267,8 @@ def read_positions(path: Path, sigma: tuple[float, float] | None = None) -> Posi
         plan, height = given or sigma or STATION_SIGMA
         stations.append(Known(fields[0], place, (plan, plan, height)))
         if len(values) > 5:
-            attitudes.append(Known(fields[0], (values[3], values[4], values[5]), (np.nan, np.nan, np.nan)))
+            gimbal = (values[3], values[4] - NADIR, values[5])
+            attitudes.append(Known(fields[0], gimbal, (np.nan, np.nan, np.nan)))
     if noted:
         raise noted.error()
     findings = ()
@@ -289,6 +291,7 @@ def with_stations(foreign: ForeignBlock, positions: Positions) -> ForeignBlock:
     return replace(
         foreign,
         stations=(*foreign.stations, *map(named, positions.stations)),
+        attitudes=(*foreign.attitudes, *map(named, positions.attitudes)),
         coordinate_system=foreign.coordinate_system or positions.coordinate_system,
         findings=(*foreign.findings, *positions.findings),
     )

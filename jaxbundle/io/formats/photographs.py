@@ -14,7 +14,6 @@ from jaxtyping import Float
 
 from jaxbundle.block.findings import Finding, Kind, Severity
 from jaxbundle.block.problems import BlockError, Problem, shown
-from jaxbundle.io.formats import rotations
 from jaxbundle.io.formats.attitudes import rotations_of_gimbal
 from jaxbundle.io.formats.extras import extra
 from jaxbundle.io.formats.foreign_block import Known
@@ -168,14 +167,6 @@ def positions_of_photographs(folder: Path) -> Positions:
     words = f"positions of photographs have standard deviations of up to {plan:g} m in plan and {height:g} m in height"
     findings.append(Finding(Kind.INFORMATION, f"{words}; what the altitudes refer to is not known"))
     stations = tuple(Known(one.name, one.position, one.sigmas) for one in known)
-    return Positions(stations, _attitudes(known), "EPSG:4326", tuple(findings))
-
-
-def _attitudes(photographs: list[Photograph]) -> tuple[Known, ...]:
-    """omega, phi, kappa in radians about true north, with no standard deviations."""
-    told = [one for one in photographs if np.isfinite(one.gimbal).all()]
-    if not told:
-        return ()
-    angles = rotations.to_angles(rotations_of_gimbal(np.array([one.gimbal for one in told]))).tolist()
-    unknown = (np.nan, np.nan, np.nan)
-    return tuple(Known(one.name, (w, p, k), unknown) for one, (w, p, k) in zip(told, angles, strict=True))
+    nothing = (np.nan, np.nan, np.nan)
+    attitudes = tuple(Known(one.name, one.gimbal, nothing) for one in known if np.isfinite(one.gimbal).all())
+    return Positions(stations, attitudes, "EPSG:4326", tuple(findings))

@@ -1,10 +1,12 @@
 """A foreign block from several sources: the file itself, and tables of control and of image positions beside it."""
 
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from pathlib import Path
 
 from jaxbundle.block.block import Block
+from jaxbundle.block.findings import Finding, Kind
 from jaxbundle.io.formats.assembled import assembled
+from jaxbundle.io.formats.attitudes import observed_attitudes
 from jaxbundle.io.formats.coordinates import metric
 from jaxbundle.io.formats.foreign_block import ReadOptions
 from jaxbundle.io.formats.ground_control import Positions, read_control, read_positions, with_control, with_stations
@@ -24,6 +26,8 @@ class Sources:
     """Observed projection centres: geo.txt, or a folder with photographs that tell their positions."""
     control_sigma: tuple[float, float] | None = None
     station_sigma: tuple[float, float] | None = None
+    attitude_sigma: float | None = None
+    """Of observed attitudes, in degrees; None leaves the attitudes of the stations out."""
     options: ReadOptions = ReadOptions()
 
 
@@ -39,8 +43,22 @@ def read_sources(path: Path, form: Format, sources: Sources) -> Block:
     if control is not None:
         foreign = with_control(foreign, control)
     if positions is not None:
-        foreign = with_stations(foreign, positions)
+        foreign = with_stations(foreign, _attitudes_observed(positions, sources.attitude_sigma))
     return assembled(foreign)
+
+
+def _attitudes_observed(positions: Positions, sigma: float | None) -> Positions:
+    """Positions whose attitudes are observations of omega, phi, kappa, or left out and said so."""
+    if not positions.attitudes:
+        return positions
+    if sigma is None:
+        what = (
+            f"the attitudes of {len(positions.attitudes)} images are not used, as their standard deviation is not known"
+        )
+        note = Finding(Kind.INFORMATION, what, "give it with --attitude-sigma, in degrees")
+        return replace(positions, attitudes=(), findings=(*positions.findings, note))
+    system = positions.coordinate_system
+    return replace(positions, attitudes=observed_attitudes(positions.attitudes, positions.stations, system, sigma))
 
 
 def _positions(sources: Sources) -> Positions | None:

@@ -10,9 +10,10 @@ from jaxbundle.block.findings import Kind, Severity
 from jaxbundle.block.problems import BlockError
 from jaxbundle.io import Sources, read
 from jaxbundle.io.formats import extras
-from jaxbundle.io.formats.attitudes import rotations_of_gimbal
+from jaxbundle.io.formats.attitudes import observed_attitudes, rotations_of_gimbal
 from jaxbundle.io.formats.colmap import read_colmap
 from jaxbundle.io.formats.coordinates import convergence, is_geographic, metric, transformed, utm_zone
+from jaxbundle.io.formats.foreign_block import Known, triple
 from jaxbundle.io.formats.ground_control import read_control, read_positions, with_control
 from jaxbundle.io.formats.misfit import ray_residuals
 from jaxbundle.io.formats.photographs import positions_of_photographs, read_photograph
@@ -122,7 +123,7 @@ def test_positions_with_angles(tmp_path):
     found = read_positions(path)
     a, b = found.stations
     assert a.sigmas == (0.02, 0.02, 0.05) and b.sigmas == (5.0, 5.0, 30.0) and np.isnan(b.coordinates[2])
-    assert found.attitudes[0].coordinates == (45.0, 0.1, 0.0)
+    assert found.attitudes[0].coordinates == (45.0, 0.1 - 90.0, 0.0)  # of a gimbal
 
 
 def test_geographic_coordinates_become_metric(tmp_path):
@@ -161,6 +162,20 @@ def test_attitudes_of_a_gimbal():
     found = np.degrees(to_angles(rotations_of_gimbal(np.array([[0, -90, 0], [45, -89.9, 0], [0, 0, 0.0]]))))
     expected = [[0, 0, 0], [0.0707107, -0.0707107, -45.0], [90, 0, 0]]
     np.testing.assert_allclose(found, expected, atol=1e-4)
+
+
+def test_attitudes_are_observed_in_the_grid():
+    """Yaw is from true north: in the grid the convergence is subtracted."""
+    pytest.importorskip("pyproj")
+    place = transformed("EPSG:4979", "EPSG:32633", np.array([[16.0, 50.0, 300.0]]))
+    nothing = (np.nan, np.nan, np.nan)
+    rows = Known("a", (30.0, -90.0, 0.0), nothing), Known("b", (30.0, -90.0, 0.0), nothing)
+    (found,) = observed_attitudes(rows, (Known("a", triple(place[0]), (1.0, 1.0, 1.0)),), "EPSG:32633", 2.0)
+    gamma = np.degrees(convergence("EPSG:32633", place)[0])
+    np.testing.assert_allclose(np.degrees(found.coordinates), [0, 0, -(30.0 - gamma)], atol=1e-12)
+    assert found.sigmas == (np.radians(2.0),) * 3
+    (local,) = observed_attitudes(rows[:1], (Known("a", (0.0, 0.0, 0.0), nothing),), "", 2.0)
+    np.testing.assert_allclose(np.degrees(local.coordinates), [0, 0, -30.0], atol=1e-12)
 
 
 def test_a_photograph_tells_its_position(shared_data, tmp_path):
