@@ -9,8 +9,8 @@ from jaxbundle.block.given import require_a
 from jaxbundle.report.comparison import compare_reports
 from jaxbundle.report.data import dict_of
 from jaxbundle.report.figures import figures_of
-from jaxbundle.report.sections import sections_of
 from jaxbundle.report.plot.start import EXTERNAL, INTERNAL, PLAIN, new_axes, styled
+from jaxbundle.report.sections import sections_of
 from jaxbundle.solve.adjustment import Adjustment
 
 WIDEST = 6.0  # of the classes of t
