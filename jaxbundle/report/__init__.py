@@ -1,4 +1,12 @@
-"""Results in words and tables: pure functions of an adjustment, and one that writes them to a folder."""
+"""Results in words, tables and pictures: pure functions of an adjustment, and those that write them.
+
+sections         what a report consists of, made once; text, data, files and html render it
+pictures         the numbers of the pictures, which html and plot draw alike
+html             the page; plot: the same pictures in matplotlib, loaded as `jb.plot`
+comparison       two results of one block, or two surveys of the same points
+ply              point clouds for viewers
+made             program, date, command and inputs
+"""
 
 from jaxbundle.report.comparison import compare_reports, congruency
 from jaxbundle.report.data import report_dict

@@ -1,6 +1,7 @@
 """How a report was made: program, date, command, inputs with their hashes, units, and signs and formulas."""
 
 import hashlib
+import tomllib
 from collections.abc import Iterable
 from datetime import UTC, datetime
 from importlib.metadata import PackageNotFoundError, version
@@ -10,6 +11,7 @@ from typing import NamedTuple
 from jaxbundle.report.figures import Figures
 from jaxbundle.report.section import Chapter, Facts, Section, fact
 
+SETTINGS = "block.toml"
 FORMULAS = (
     ("Residual v", "computed less observed; y of images points up; differences at points are adjusted less given."),
     ("sigma0", "sqrt(vTPv / redundancy). With right sigmas it lies between the limits of the global test, near 1."),
@@ -50,23 +52,31 @@ def program_version() -> str:
 
 
 def made_now(command: str = "", inputs: Iterable[Path] = ()) -> Made:
-    """This moment, the command, and the files as they are now.
-
-    Raises: OSError for a file that cannot be read.
-    """
-    hashed = []
-    for path in inputs:
-        with path.open("rb") as file:
-            hashed.append((path.name, hashlib.file_digest(file, "sha256").hexdigest()))
+    """This moment, the command, and the files as they are now."""
+    hashed = [(path.name, _digest(path)) for path in inputs]
     date = datetime.now(UTC).strftime("%Y-%m-%d %H:%M UTC")
     return Made(program_version(), date, command, tuple(hashed))
 
 
+def _digest(path: Path) -> str:
+    """SHA-256 of a file; a file beside the tables that cannot be read must not end an adjustment."""
+    try:
+        with path.open("rb") as file:
+            return hashlib.file_digest(file, "sha256").hexdigest()
+    except OSError:
+        return "not readable"
+
+
 def input_files(path: Path) -> list[Path]:
-    """The files that a block at this path is read from: its own file, or the tables of its folder."""
-    if path.is_file():
+    """The files that a block at this path is read from: its own file, or block.toml and the tables of its folder."""
+    if path.is_file() and path.name != SETTINGS:
         return [path]
-    return sorted(file for file in path.iterdir() if file.is_file() and file.suffix in (".csv", ".toml"))
+    folder = path if path.is_dir() else path.parent
+    files = {file for file in folder.iterdir() if file.suffix in (".csv", ".toml")}
+    if (folder / SETTINGS).is_file():
+        tables = tomllib.loads((folder / SETTINGS).read_text(encoding="utf-8-sig", errors="replace")).get("tables", {})
+        files |= {folder / name for name in tables.values() if isinstance(name, str)}
+    return sorted(file for file in files if file.is_file())
 
 
 def made_section(figures: Figures, made: Made | None = None) -> Section:

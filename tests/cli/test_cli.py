@@ -51,6 +51,7 @@ def test_adjusts_and_is_silent_in_a_pipe(run, folder, tmp_path):
     assert "converged" in out and out.endswith("Results: small-adjusted\n")
     report = json.loads((tmp_path / "small-adjusted" / "report.json").read_text())
     assert report["trustworthy"] and report["name"] == "2 x 4 images"
+    assert {"block.toml", "rays.csv"} <= set(report["inputs"]) and report["command"].startswith("jaxbundle adjust")
     assert [path.name for path in tmp_path.iterdir()] == ["small-adjusted"]
 
 

@@ -230,8 +230,13 @@ def test_scales_and_colours():
 def test_inputs_are_told_with_their_hashes(tmp_path):
     (tmp_path / "rays.csv").write_bytes(b"image,point\n")
     (tmp_path / "notes.md").touch()
+    (tmp_path / "below").mkdir()
+    (tmp_path / "below" / "points.csv").touch()
+    (tmp_path / "other.csv").mkdir()
     made = made_now("jaxbundle adjust x", input_files(tmp_path))
     assert made.inputs == (("rays.csv", hashlib.sha256(b"image,point\n").hexdigest()),)
+    (tmp_path / "block.toml").write_text('[tables]\npoints = "below/points.csv"\nrays = "rays.csv"\n')
+    assert [path.name for path in input_files(tmp_path / "block.toml")] == ["points.csv", "block.toml", "rays.csv"]
     assert made.date.endswith(" UTC") and input_files(tmp_path / "rays.csv") == [tmp_path / "rays.csv"]
 
 

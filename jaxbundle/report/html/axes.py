@@ -1,4 +1,4 @@
-"""Axes of a chart in SVG: from numbers to places on the paper, with ticks, labels, and the frame around."""
+"""Axes of a chart in SVG: from numbers to coordinates on the paper, with ticks, labels, and the frame around."""
 
 import math
 from collections.abc import Sequence
@@ -11,7 +11,7 @@ from jaxbundle.report.html.markup import tag, text
 from jaxbundle.report.pictures.known import known, nice
 
 HEAD = 5.0  # length of the head of an arrow on the paper
-LOG_FLOOR = 1e-300  # the logarithm of 0 is not a place
+LOG_FLOOR = 1e-300  # the logarithm of 0 is not finite
 
 
 @dataclass(frozen=True)
@@ -30,11 +30,11 @@ class Axes:
     log_y: bool = False
 
     def u(self, x: np.ndarray | float) -> Float[np.ndarray, "..."]:
-        """Places across, of numbers."""
+        """Coordinates across the paper, in units of the picture."""
         return self.left + _share(x, self.x, self.log_x) * (self.width - self.left - self.right)
 
     def v(self, y: np.ndarray | float) -> Float[np.ndarray, "..."]:
-        """Places down, of numbers."""
+        """Coordinates down the paper, in units of the picture."""
         return self.height - self.bottom - _share(y, self.y, self.log_y) * (self.height - self.top - self.bottom)
 
     @property
@@ -43,7 +43,7 @@ class Axes:
         return (self.width - self.left - self.right) / (self.x[1] - self.x[0])
 
     def frame(self, across: str, up: str, categories: Sequence[str] = ()) -> str:
-        """Ticks and labels of both axes; `categories`: names of the places 0, 1, ... across, instead of numbers."""
+        """Ticks and labels of both axes; `categories`: names of 0, 1, ... on the horizontal axis."""
         parts, end = [], self.height - self.bottom
         for value, label in list(enumerate(categories)) or _ticks(self.x, self.log_x, 7):
             place = float(self.u(value))
@@ -66,7 +66,7 @@ class Axes:
         return tag("svg", inside, viewBox=box, role="img", aria_label=name, **attributes)
 
     def line(self, x: np.ndarray, y: np.ndarray, kind: str) -> str:
-        """A line through the places of numbers; it is interrupted where one is not known."""
+        """A line through points; it is interrupted where a number is not known."""
         u, v = self.u(known(x)), self.v(known(y))
         steps, pen = [], "M"
         for a, b in zip(u.tolist(), v.tolist(), strict=True):

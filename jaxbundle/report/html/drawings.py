@@ -1,5 +1,8 @@
 """Plans in SVG: the block from above, arrows at control and check points, connections, the map of precision."""
 
+from collections.abc import Callable
+from typing import NamedTuple
+
 import numpy as np
 
 from jaxbundle.report.html.axes import Axes, arrow, plan_axes, scale_bar
@@ -33,12 +36,12 @@ def _there(xy: np.ndarray) -> np.ndarray:
 
 
 def triangle(u: float, v: float, size: float) -> str:
-    """Path of a triangle around a place."""
+    """Path of a triangle around a point of the paper."""
     return f"M{u:.1f} {v - size:.1f}l{size:.1f} {1.75 * size:.1f}h{-2 * size:.1f}z"
 
 
 def square(u: float, v: float, size: float) -> str:
-    """Path of a square around a place."""
+    """Path of a square around a point of the paper."""
     return f"M{u - size:.1f} {v - size:.1f}h{2 * size:.1f}v{2 * size:.1f}h{-2 * size:.1f}z"
 
 
@@ -82,7 +85,7 @@ def _polygon(axes: Axes, corners: np.ndarray) -> str:
     return "M" + "L".join(f"{a:.1f} {b:.1f}" for a, b in zip(u, v, strict=True)) + "z"
 
 
-def _marks(axes: Axes, xy: np.ndarray, names: list[str], shape) -> list[str]:
+def _marks(axes: Axes, xy: np.ndarray, names: list[str], shape: Callable[[float, float, float], str]) -> list[str]:
     parts = []
     for k, u, v in _places(axes, xy, np.arange(len(xy))):
         parts.append(tag("path", titled(names[k]), d=shape(u, v, 5.0)))
@@ -100,7 +103,7 @@ def vector_drawing(plan: Plan, groups: dict[str, Vectors], factor: float, unit: 
         shape = triangle if kind == "control" else square
         labelled = sum(len(g.names) for g in groups.values()) <= 2 * LABELLED
         for k in _there(vectors.position).tolist():
-            parts.append(_vector(axes, vectors, k, factor, unit, (kind, shape, labelled)))
+            parts.append(_vector(axes, vectors, k, Look(kind, shape, labelled, factor, unit)))
     length = nice(0.18 * (axes.x[1] - axes.x[0]) / factor)
     size, right = length * factor * axes.scale, axes.width - axes.right - 40
     reference = tag("path", d=f"M{right - size:.1f} {axes.height - 16}{arrow(size, 0.0)}", class_="axis arrow")
@@ -111,9 +114,19 @@ def vector_drawing(plan: Plan, groups: dict[str, Vectors], factor: float, unit: 
     )
 
 
-def _vector(axes: Axes, vectors: Vectors, k: int, factor: float, unit: str, look: tuple) -> str:
+class Look(NamedTuple):
+    """How points with differences are drawn: their kind, shape, whether with names, factor and unit of differences."""
+
+    kind: str
+    shape: Callable[[float, float, float], str]
+    labelled: bool
+    factor: float
+    unit: str
+
+
+def _vector(axes: Axes, vectors: Vectors, k: int, look: Look) -> str:
     """One point: its mark, the arrow of its difference in X and Y, the bar of that in Z."""
-    kind, shape, labelled = look
+    kind, shape, labelled, factor, unit = look
     u, v = float(axes.u(vectors.position[k, 0])), float(axes.v(vectors.position[k, 1]))
     d = vectors.difference[k]
     known = np.nan_to_num(d) * factor * axes.scale

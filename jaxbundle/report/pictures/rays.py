@@ -14,7 +14,7 @@ QUANTILES = 101
 CELLS = (24, 36)  # of a residual field: rows and columns at most
 RAYS_OF_CELL = 12  # wanted on average, so that the mean of a cell tells more than its noise
 COVERAGE = 6  # rows and columns of the grid that tells how much of the format has rays
-INWARD = 1e-9
+INWARD = 1e-9  # residuals beyond the widest class are counted just inside of it
 
 
 class Histogram(NamedTuple):

@@ -105,7 +105,7 @@ def redundancy(result: Adjustment, *, ax: Axes | None = None, **style: Any) -> A
 
 
 def iterations(result: Adjustment, *, ax: Axes | None = None, **style: Any) -> Axes:
-    """Draws v^T P v after every iteration, damping and step below it, on a logarithmic scale. Else as above."""
+    """Draws v^T P v after every iteration, damping and step below it, on a logarithmic scale. Else as `redundancy`."""
     _, ax = begin(result, ax, "iterations")
     history = result.iterations.history
     rows = np.flatnonzero(~np.isnan(np.asarray(history.damping)))

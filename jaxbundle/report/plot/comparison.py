@@ -5,9 +5,12 @@ from typing import Any
 import numpy as np
 from matplotlib.axes import Axes
 
+from jaxbundle.block.given import require_a
 from jaxbundle.report.comparison import compare_reports
-from jaxbundle.report.data import report_dict
+from jaxbundle.report.data import dict_of
+from jaxbundle.report.figures import figures_of
 from jaxbundle.report.plot.start import EXTERNAL, INTERNAL, PLAIN, new_axes, styled
+from jaxbundle.report.sections import sections_of
 from jaxbundle.solve.adjustment import Adjustment
 
 WIDEST = 6.0  # of the classes of t
@@ -26,7 +29,7 @@ def compare(first: Adjustment, second: Adjustment, *, ax: Axes | None = None, **
 
     Raises: ValueError where they have no point with standard deviations in common.
     """
-    found = compare_reports(report_dict(first), report_dict(second))
+    found = compare_reports(_data(first), _data(second))
     points = next((table for table in found.differences if table.table == "points"), None)
     if points is None or not np.isfinite(points.ratio).any():
         raise ValueError("the results have no point with standard deviations in common")
@@ -39,3 +42,10 @@ def compare(first: Adjustment, second: Adjustment, *, ax: Axes | None = None, **
     ax.set_ylabel("number")
     ax.legend(fontsize="small")
     return ax
+
+
+def _data(result: Adjustment) -> dict[str, Any]:
+    """What report.json tells of a result, without its findings: to look for them takes longer than to draw."""
+    require_a(Adjustment, result, "plot.compare")
+    figures = figures_of(result, ())
+    return dict_of(figures, [section() for section in sections_of(figures)])
