@@ -1,5 +1,6 @@
 """The pages are complete, linked, and agree with the program."""
 
+import ast
 import re
 import tomllib
 
@@ -44,6 +45,12 @@ def test_files_that_a_page_names_exist(name):
         assert (ROOT / file).is_file(), file
     for file in re.findall(r"`([a-z]+/[\w./]+\.py)`", text):
         assert (ROOT / file).is_file() or (ROOT / "jaxbundle" / file).is_file(), file
+
+
+@pytest.mark.parametrize("path", sorted((ROOT / "examples").glob("*.py")), ids=lambda path: path.stem)
+def test_an_example_says_what_it_makes(path):
+    header = ast.get_docstring(ast.parse(text_of(path))) or ""
+    assert re.search(r"^Prints .*table|picture", header, re.MULTILINE), header
 
 
 @pytest.mark.parametrize("name", DOCUMENTS)
