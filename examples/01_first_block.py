@@ -1,4 +1,7 @@
-"""A first block: a strip of which the truth is known, adjusted, and its figures held against the truth."""
+"""A first block: a strip with known truth is simulated, adjusted and compared with the truth.
+
+Prints the summary and a table of the projection centres: values, standard deviations and true errors.
+"""
 
 import jax
 import numpy as np

@@ -1,6 +1,6 @@
 """Erroneous control: one photo, four control points, the fourth of them wrong by 0.3 m or by 5 m in X, Y and Z.
 
-An experiment of 1986 (text 001), its geometry recovered from its table, of which every row stands below the computed.
+Prints the table of an experiment of 1986 (Text 001 of the bibliography): each computed row, and the printed row below.
 """
 
 import equinox as eqx

@@ -4,6 +4,8 @@ The camera of two strips bends its rays by a radial curve that no model describe
 projection with that curve as a spline of six numbers, which are held in every adjustment and improved between two of
 them: the gradient of the check points' errors goes back through the whole adjustment. Points that neither train nor
 control tell whether the lens was learned or the check points by heart.
+
+Prints a table: errors of training and test points without, with the learned and with the true distortion.
 """
 
 import dataclasses

@@ -3,6 +3,8 @@
 Three strips were flown in different light. All are said to be measured to 6 micrometres; in truth the second one is
 four times worse than the first, and the third one twice. The logarithms of the two ratios follow the gradient of the
 known points' mean square error, through the whole adjustment, downhill. Every other known point only tests.
+
+Prints a table: errors of the test points with the given, the tuned and the true sigmas.
 """
 
 import equinox as eqx

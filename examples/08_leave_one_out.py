@@ -6,6 +6,8 @@ adjustment by the measured coordinates l_i of ray i, v_i its residual and T a ta
     v_i + (dv_i/dl_i) dl = 0,      T without ray i  =  T + (dT/dl_i) dl
 
 -dv_i/dl_i are the two by two redundancy numbers of the ray: where they are near 0 nothing controls it.
+
+Prints a table: the effect of each ray by its derivative, and by adjusting again without it.
 """
 
 import equinox as eqx

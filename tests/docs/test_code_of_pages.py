@@ -1,4 +1,4 @@
-"""The code of the pages runs as it stands, beside the block of `jaxbundle new`, and what they quote is printed.
+"""The code of the pages runs as it stands, beside the block of `jaxbundle new`, and prints what the pages quote.
 
 The blocks of a page share their names and run in order. Blocks marked as thorough compile programs of their own.
 """
