@@ -94,7 +94,7 @@ def test_leave_one_out(printed):
 
 @pytest.mark.thorough
 def test_control_by_derivative(printed):
-    out = printed("09_control_by_derivative.py")
+    out = printed("10_control_by_derivative.py")
     walk = re.search(r"walk against the gradient: ([\d. ]+)", out)
     exchange = re.search(r"exchange over \d+ places: ([\d.]+), lower bound ([\d.]+)", out)
     assert walk and exchange
@@ -107,7 +107,7 @@ def test_control_by_derivative(printed):
 
 @pytest.mark.thorough
 def test_strip_before_the_flight(printed):
-    out = printed("10_strip_before_the_flight.py")
+    out = printed("11_strip_before_the_flight.py")
     rows = {m[1].strip(): [float(x) for x in m[2].split()] for m in re.finditer(r"(?m)^(\D+?)((?: +[\d.]+){3})$", out)}
     assert rows["free end, bundle"] == pytest.approx([26.52, 20.81, 48.68], abs=0.02)
     assert rows["its cubic in n"] == pytest.approx(rows["free end, bundle"], rel=2e-3)

@@ -129,7 +129,7 @@ WRONG_FUNCTIONS = {
     "the function cannot be differentiated (TracerArrayConversionError": (
         lambda b: np.linalg.norm(np.asarray(b.object_points[0]))
     ),
-    "the function fails with AttributeError": lambda b: b.points,
+    "the function fails with AttributeError": lambda b: b.corners,
 }
 
 

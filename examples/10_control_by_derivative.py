@@ -4,6 +4,8 @@ A block of two strips, seen by the covariance alone: nothing is measured and not
 the middle of the block; jax.grad of the mean predicted variance goes back through the normal equations to their
 positions, and they walk as long as the variance falls. The best four of all tie point places, found by exchange on the
 covariance, are the reference, and a convex relaxation says how much better any layout could be.
+
+Prints the gradient, the mean standard deviations of the layouts and their lower bound, and draws a picture of them.
 """
 
 import dataclasses
