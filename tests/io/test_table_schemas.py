@@ -26,7 +26,7 @@ def test_the_page_describes_the_tables() -> None:
 
 def test_every_column_is_described() -> None:
     text = format_columns()
-    assert text.count("\n### ") == len(TABLES) - 1 and text.startswith("### images.csv\n\nApproximate values.\n")
+    assert text.count("\n### ") == len(TABLES) - 1 and text.startswith("### images.csv\n\nApproximate values; an ")
     assert "| sX | standard deviation | object unit | empty, 0 |" in text
     assert "| cXY | further number | object unit squared | absent, empty |" in text
 
