@@ -21,7 +21,16 @@ from jaxbundle.solve.adjust import adjust
 from jaxbundle.solve.adjustment import Status
 
 ROOT = Path(__file__).parents[2]
-FILES = {"cameras.csv", "check_points.csv", "images.csv", "points.csv", "rays.csv", "report.json", "report.txt"}
+FILES = {
+    "cameras.csv",
+    "check_points.csv",
+    "images.csv",
+    "points.csv",
+    "rays.csv",
+    "report.html",
+    "report.json",
+    "report.txt",
+}
 
 
 @pytest.fixture(scope="module")
