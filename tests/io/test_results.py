@@ -20,7 +20,7 @@ from jaxbundle.solve.adjust import adjust
 def result(shared_data):
     """An adjusted block with control, in a system that is known."""
     block = read(shared_data / "strasbourg-s2-weighted", check_start=False)
-    structure = dataclasses.replace(block.structure, source="DBAT; coordinate system: EPSG:27571")
+    structure = dataclasses.replace(block.structure, source="DBAT; coordinate system: EPSG:27561")
     return adjust(dataclasses.replace(block, structure=structure))
 
 
@@ -47,7 +47,7 @@ def test_laspy_reads_the_cloud(tmp_path, result, points, suffix):
     cloud = laspy.read(tmp_path / f"a{suffix}")
     np.testing.assert_allclose(np.column_stack([cloud.x, cloud.y, cloud.z]), points, atol=5.1e-4)
     np.testing.assert_allclose(cloud["sZ"], np.asarray(result.standard_deviations.object_points)[:, 2], rtol=1e-6)
-    assert cloud.header.parse_crs().to_epsg() == 27571
+    assert cloud.header.parse_crs().to_epsg() == 27561
 
 
 def test_pyogrio_reads_the_geopackage(tmp_path, result, points):
@@ -55,7 +55,7 @@ def test_pyogrio_reads_the_geopackage(tmp_path, result, points):
     pyogrio = importlib.import_module("pyogrio.raw")
     export(result, tmp_path / "a.gpkg")
     meta, _, geometry, fields = pyogrio.read(tmp_path / "a.gpkg", layer="points")
-    assert meta["crs"] == "EPSG:27571" and meta["fields"].tolist() == ["point", "rays", "sX", "sY", "sZ"]
+    assert meta["crs"] == "EPSG:27561" and meta["fields"].tolist() == ["point", "rays", "sX", "sY", "sZ"]
     np.testing.assert_array_equal(np.array([np.frombuffer(row[5:], "<f8") for row in geometry]), points)
     assert fields[0].tolist() == list(result.block.structure.point_names)
     layers = {name for name, _ in importlib.import_module("pyogrio").list_layers(tmp_path / "a.gpkg")}

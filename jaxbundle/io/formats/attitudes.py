@@ -54,5 +54,5 @@ def observed_attitudes(
     if system and not is_metric_local(system):
         degrees[:, 0] -= np.degrees(convergence(system, np.array([places[row.name] for row in rows])))
     angles = rotations.to_angles(rotations_of_gimbal(degrees))
-    sigmas = (math.radians(sigma),) * 3
+    sigmas = (math.radians(sigma), math.radians(sigma), math.radians(sigma))
     return tuple(Known(row.name, triple(angle), sigmas) for row, angle in zip(rows, angles.tolist(), strict=True))
