@@ -16,18 +16,6 @@ from typing import TYPE_CHECKING, Any
 
 if TYPE_CHECKING:
     from jaxbundle import planning
-    from jaxbundle.approximate.absolute_orientation import AbsoluteOrientation, absolute_orientation
-    from jaxbundle.approximate.approximation import Approximation
-    from jaxbundle.approximate.direct_linear_transformation import (
-        DirectLinearTransformation,
-        direct_linear_transformation,
-    )
-    from jaxbundle.approximate.from_nothing import approximate
-    from jaxbundle.approximate.intersection import intersect
-    from jaxbundle.approximate.planar_resection import PlanarResection, planar_resection
-    from jaxbundle.approximate.relative_orientation import RelativeOrientation, relative_orientation
-    from jaxbundle.approximate.resection import Resection, resection
-    from jaxbundle.approximate.three_point_resection import ThreePointResection, three_point_resection
     from jaxbundle.block.block import (
         Block,
         Camera,
@@ -78,6 +66,18 @@ if TYPE_CHECKING:
         write_block_folder,
         write_format,
     )
+    from jaxbundle.orientation.absolute_orientation import AbsoluteOrientation, absolute_orientation
+    from jaxbundle.orientation.approximation import Approximation
+    from jaxbundle.orientation.direct_linear_transformation import (
+        DirectLinearTransformation,
+        direct_linear_transformation,
+    )
+    from jaxbundle.orientation.from_nothing import approximate
+    from jaxbundle.orientation.intersection import intersect
+    from jaxbundle.orientation.planar_resection import PlanarResection, planar_resection
+    from jaxbundle.orientation.relative_orientation import RelativeOrientation, relative_orientation
+    from jaxbundle.orientation.resection import Resection, resection
+    from jaxbundle.orientation.three_point_resection import ThreePointResection, three_point_resection
     from jaxbundle.planning.flight import AerialCamera
     from jaxbundle.planning.predict import Prediction, predict
     from jaxbundle.planning.simulate import Simulation, simulate
@@ -119,15 +119,15 @@ if TYPE_CHECKING:
 __version__ = "0.1.0"
 
 _MODULES = {
-    "approximate.approximation": ("Approximation",),
-    "approximate.direct_linear_transformation": ("DirectLinearTransformation", "direct_linear_transformation"),
-    "approximate.from_nothing": ("approximate",),
-    "approximate.planar_resection": ("PlanarResection", "planar_resection"),
-    "approximate.absolute_orientation": ("AbsoluteOrientation", "absolute_orientation"),
-    "approximate.intersection": ("intersect",),
-    "approximate.relative_orientation": ("RelativeOrientation", "relative_orientation"),
-    "approximate.resection": ("Resection", "resection"),
-    "approximate.three_point_resection": ("ThreePointResection", "three_point_resection"),
+    "orientation.approximation": ("Approximation",),
+    "orientation.direct_linear_transformation": ("DirectLinearTransformation", "direct_linear_transformation"),
+    "orientation.from_nothing": ("approximate",),
+    "orientation.planar_resection": ("PlanarResection", "planar_resection"),
+    "orientation.absolute_orientation": ("AbsoluteOrientation", "absolute_orientation"),
+    "orientation.intersection": ("intersect",),
+    "orientation.relative_orientation": ("RelativeOrientation", "relative_orientation"),
+    "orientation.resection": ("Resection", "resection"),
+    "orientation.three_point_resection": ("ThreePointResection", "three_point_resection"),
     "block.block": (
         "Block",
         "Camera",

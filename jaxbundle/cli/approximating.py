@@ -4,11 +4,11 @@ from pathlib import Path
 
 import typer
 
-from jaxbundle.approximate.from_nothing import approximate
 from jaxbundle.block.changes import with_findings
 from jaxbundle.block.unknowns import without_orientation
 from jaxbundle.cli.codes import Code
 from jaxbundle.io import read, write_block_folder
+from jaxbundle.orientation.from_nothing import approximate
 
 
 def run(path: Path, out: Path | None, anew: bool) -> int:

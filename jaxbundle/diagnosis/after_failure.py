@@ -13,7 +13,6 @@ import equinox as eqx
 import numpy as np
 from jaxtyping import Bool, Float, Int
 
-from jaxbundle.approximate.sight import intersected, photo_vectors, sight_of
 from jaxbundle.block.block import Block
 from jaxbundle.block.changes import without_component
 from jaxbundle.block.findings import Finding, Kind, Subject
@@ -22,6 +21,7 @@ from jaxbundle.block.problems import BlockError
 from jaxbundle.block.wording import counted, named
 from jaxbundle.diagnosis.wrong_rays import wrong_rays
 from jaxbundle.numerics.host import on_device, on_host
+from jaxbundle.orientation.sight import intersected, photo_vectors, sight_of
 from jaxbundle.solve.adjust import adjust
 from jaxbundle.solve.adjustment import Adjustment, Status
 

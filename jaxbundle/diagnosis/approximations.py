@@ -7,7 +7,10 @@ opposite sign) is named for all images that it explains, each far better than as
 import numpy as np
 from jaxtyping import Bool, Float
 
-from jaxbundle.approximate.alternatives import (
+from jaxbundle.block.block import Block
+from jaxbundle.block.findings import Finding, Kind, Severity, Subject
+from jaxbundle.block.wording import counted, named
+from jaxbundle.orientation.alternatives import (
     PLAIN,
     Given,
     explains,
@@ -17,11 +20,8 @@ from jaxbundle.approximate.alternatives import (
     of_both,
     of_stations,
 )
-from jaxbundle.approximate.sight import HALF, Sight, mostly_beyond, off, only, relative_off
-from jaxbundle.approximate.start import CheckedStart
-from jaxbundle.block.block import Block
-from jaxbundle.block.findings import Finding, Kind, Severity, Subject
-from jaxbundle.block.wording import counted, named
+from jaxbundle.orientation.sight import HALF, Sight, mostly_beyond, off, only, relative_off
+from jaxbundle.orientation.start import CheckedStart
 
 MOST = 0.5  # share of an image's rays with the point behind it, from which on it is named
 FEW_BEHIND = 0.01  # share of all rays: real blocks have some far or wrong points behind

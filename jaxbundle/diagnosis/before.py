@@ -6,10 +6,6 @@ absurd, orientations and control are not judged by them.
 
 import numpy as np
 
-from jaxbundle.approximate.from_nothing import with_images_replaced
-from jaxbundle.approximate.sight import sight_of
-from jaxbundle.approximate.start import checked_start
-from jaxbundle.approximate.start_findings import found_orientations
 from jaxbundle.block.block import Block
 from jaxbundle.block.findings import Finding, Severity, in_order
 from jaxbundle.block.magnitudes import repeated_rows
@@ -18,6 +14,10 @@ from jaxbundle.diagnosis.approximations import mirrored_finding, start_findings,
 from jaxbundle.diagnosis.image_format import format_findings
 from jaxbundle.diagnosis.interior import interior_findings
 from jaxbundle.diagnosis.systems import control_findings
+from jaxbundle.orientation.from_nothing import with_images_replaced
+from jaxbundle.orientation.sight import sight_of
+from jaxbundle.orientation.start import checked_start
+from jaxbundle.orientation.start_findings import found_orientations
 
 
 def plausibility(block: Block) -> tuple[Finding, ...]:

@@ -14,12 +14,12 @@ import equinox as eqx
 import numpy as np
 from jaxtyping import Bool, Float, Int
 
-from jaxbundle.approximate.alternatives import explains, left
-from jaxbundle.approximate.sight import sight_of
 from jaxbundle.block.block import Block, InteriorOrientation, Rays
 from jaxbundle.block.findings import Finding, Kind, Severity, Subject
 from jaxbundle.block.wording import counted, named
 from jaxbundle.numerics.host import on_device
+from jaxbundle.orientation.alternatives import explains, left
+from jaxbundle.orientation.sight import sight_of
 
 MARGIN = 0.01  # of the format: marks on the border of scanned film lie a little outside
 FEW = 0.01  # share of rays outside that may be single errors of measurement

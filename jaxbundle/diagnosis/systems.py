@@ -9,10 +9,10 @@ from typing import NamedTuple
 import numpy as np
 from jaxtyping import Float, Int
 
-from jaxbundle.approximate.sight import Sight, intersected, medians, only, photo_vectors, relative_off
 from jaxbundle.block.block import Block
 from jaxbundle.block.findings import Finding, Kind, Severity, Subject
 from jaxbundle.block.wording import counted, named
+from jaxbundle.orientation.sight import Sight, intersected, medians, only, photo_vectors, relative_off
 
 LEAST = 3  # control points with two rays and more
 NEAR, FAR = 0.1, 1.0  # of the depth: by more a cause is looked for, by more control is in another system without one

@@ -13,7 +13,6 @@ from typing import NamedTuple, Unpack
 import numpy as np
 from jaxtyping import Float, Int
 
-from jaxbundle.approximate.intersection import intersect
 from jaxbundle.block.block import Block
 from jaxbundle.block.findings import Finding, Kind, Subject, in_order
 from jaxbundle.block.given import require_a, require_photographs
@@ -27,6 +26,7 @@ from jaxbundle.independent.propagation import Propagated, model_errors, propagat
 from jaxbundle.independent.sensor_block import SensorBlock
 from jaxbundle.independent.sensors import unwhitened
 from jaxbundle.numerics.precision import require_float64
+from jaxbundle.orientation.intersection import intersect
 from jaxbundle.solve.adjust import Progress, adjust
 from jaxbundle.solve.adjustment import Adjustment
 from jaxbundle.solve.options import Choices, Options

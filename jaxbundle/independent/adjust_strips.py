@@ -15,7 +15,6 @@ from typing import NamedTuple, Unpack
 import numpy as np
 from jaxtyping import Float, Int
 
-from jaxbundle.approximate.intersection import intersect
 from jaxbundle.block.block import Block
 from jaxbundle.block.datum import is_located
 from jaxbundle.block.findings import Finding, in_order
@@ -43,6 +42,7 @@ from jaxbundle.independent.strip_block import (
     strip_errors,
 )
 from jaxbundle.numerics.precision import require_float64
+from jaxbundle.orientation.intersection import intersect
 from jaxbundle.solve.adjust import Progress, adjust
 from jaxbundle.solve.adjustment import Adjustment
 from jaxbundle.solve.options import Choices, Options

@@ -18,9 +18,6 @@ import jax.numpy as jnp
 import numpy as np
 from jaxtyping import Array, Bool, Float, Int
 
-from jaxbundle.approximate import coplanarity
-from jaxbundle.approximate.coplanarity import CAUCHY, Pair, Rays
-from jaxbundle.approximate.pair_search import sides
 from jaxbundle.block.block import Block
 from jaxbundle.block.unknowns import unknowns_of
 from jaxbundle.camera.direction import direction
@@ -28,6 +25,9 @@ from jaxbundle.camera.model import CameraModel
 from jaxbundle.numerics.compilation import Compiled
 from jaxbundle.numerics.host import on_device
 from jaxbundle.numerics.shapes import grid_size
+from jaxbundle.orientation import coplanarity
+from jaxbundle.orientation.coplanarity import CAUCHY, Pair, Rays
+from jaxbundle.orientation.pair_search import sides
 
 ROBUST_STEPS, FINAL_STEPS = 15, 15
 REJECTED = 4.0  # robust standard deviations of a y-parallax: one normal error in 16 thousand

@@ -8,12 +8,12 @@ import jax.numpy as jnp
 import numpy as np
 from jaxtyping import Array, Bool, Float
 
-from jaxbundle.approximate.intersection import intersect
 from jaxbundle.block.block import Block, ExteriorOrientation
 from jaxbundle.block.unknowns import angles_near
 from jaxbundle.geometry.rotation import RotationSystem, from_rotation_vector
 from jaxbundle.numerics.compilation import Compiled
 from jaxbundle.numerics.host import on_device
+from jaxbundle.orientation.intersection import intersect
 
 
 class Within(NamedTuple):

@@ -15,7 +15,6 @@ import equinox as eqx
 import numpy as np
 from jaxtyping import Float, Int
 
-from jaxbundle.approximate.intersection import intersect
 from jaxbundle.block.block import Block, Datum
 from jaxbundle.block.findings import Finding, in_order
 from jaxbundle.block.given import require_a, require_photographs
@@ -31,6 +30,7 @@ from jaxbundle.independent.model_block import seen_points
 from jaxbundle.independent.sensor_block import Seen, SensorBlock, Sensors, sensor_block
 from jaxbundle.numerics.host import on_device
 from jaxbundle.numerics.precision import require_float64
+from jaxbundle.orientation.intersection import intersect
 from jaxbundle.solve.adjust import adjust
 from jaxbundle.solve.adjustment import Adjustment
 

@@ -9,8 +9,6 @@ import jax.numpy as jnp
 import numpy as np
 from jaxtyping import Bool, Float, Int
 
-from jaxbundle.approximate.figures import with_figures
-from jaxbundle.approximate.intersection import intersect
 from jaxbundle.block.block import (
     Block,
     Camera,
@@ -39,6 +37,8 @@ from jaxbundle.io.settings import CameraSection, DatumSection, Settings
 from jaxbundle.io.tables import Table
 from jaxbundle.io.told import told_of
 from jaxbundle.io.unused import unused
+from jaxbundle.orientation.figures import with_figures
+from jaxbundle.orientation.intersection import intersect
 
 
 def read_block_folder(path: str | Path, *, check_start: bool = True) -> Block:

@@ -1,6 +1,6 @@
 """From the rows of a block folder's tables to groups of observations, and the parameters they bring along.
 
-What the tables do not tell is NaN, and found from approximate coordinates (approximate/figures.py): the orientations of
+What the tables do not tell is NaN, and found from approximate coordinates (orientation/figures.py): the orientations of
 sets of directions, planes and lines.
 """
 

@@ -9,7 +9,6 @@ import numpy as np
 from scipy.spatial.transform import Rotation
 
 import jaxbundle as jb
-from jaxbundle.approximate.to_object import closed_form
 from jaxbundle.block.block import (
     Block,
     Camera,
@@ -20,6 +19,7 @@ from jaxbundle.block.block import (
     Rays,
     Structure,
 )
+from jaxbundle.orientation.to_object import closed_form
 
 C, HALF, SIGMA = 1000.0, 700.0, 0.5  # px: principal distance, half of the format, standard deviation
 Scene = tuple[np.ndarray, np.ndarray, np.ndarray]

@@ -9,10 +9,10 @@ import pytest
 from cases.mistaken_folders import made
 
 import jaxbundle as jb
-from jaxbundle.approximate.intersection import intersect
 from jaxbundle.block.block import Block
 from jaxbundle.block.findings import Finding, Kind, Severity, Subject
 from jaxbundle.diagnosis.before import plausibility, prepared
+from jaxbundle.orientation.intersection import intersect
 
 CLEAN_CASES = (
     "01-gcp-axes-swapped/cured",

@@ -19,7 +19,7 @@ LAYERS = {
     "normals": 4,
     "solve": 5,
     "statistics": 6,
-    "approximate": 7,
+    "orientation": 7,
     "planning": 7,
     "imagery": 7,
     "diagnosis": 8,

@@ -12,12 +12,12 @@ import jax.numpy as jnp
 import numpy as np
 from jaxtyping import Bool, Float
 
-from jaxbundle.approximate.intersection import closest_to_rays
 from jaxbundle.camera.direction import direction
 from jaxbundle.camera.model import CameraModel
 from jaxbundle.io.formats.foreign_block import ForeignBlock
 from jaxbundle.io.formats.misfit import cameras_by_model, interior_of, origin_of, photo_vectors, ray_residuals
 from jaxbundle.numerics.shapes import grid_size
+from jaxbundle.orientation.intersection import closest_to_rays
 
 STEPS = 4  # of Gauss-Newton: the second is below the precision of image coordinates
 FLAT = 1e-12  # of the determinant of the normal equations, scaled: rays are parallel

@@ -1,0 +1,145 @@
+"""The relative orientations of all pairs of a block, robustly, in rounds of equal arrays.
+
+Each round draws `SAMPLES` samples of every pair that is not sure yet. A pair is sure when so many samples have been
+drawn that one of them is free of wrong rays with 99.9 %, at the share of rays that fit its best orientation (Fischler
+and Bolles 1981).
+"""
+
+from typing import NamedTuple
+
+import numpy as np
+from jaxtyping import Bool, Float, Int
+
+from jaxbundle.numerics.host import on_device
+from jaxbundle.orientation.common_rays import MIN_COMMON, CommonRays, Directions, spread
+from jaxbundle.orientation.pair_kernel import PARALLEL, REJECTED, PairRays, oriented_pairs
+
+PAIRS, RAYS, SAMPLES = 64, 48, 32  # of one call: one program for all blocks
+MAX_SAMPLES = 512  # of a pair
+SURE = 7.0  # -log(0.001)
+NOISE = 1.5  # more samples, since those of right rays are not exact
+MIN_SHARE = 0.25  # of the common rays that fit an accepted pair
+PAIRS_FOR_OPTIMISATION = 600  # below, the pairs take less time than optimising the program
+
+
+class BlockPairs(NamedTuple):
+    """Pairs of images with the best and the second orientation, X2 = R X1 + t with t of length 1.
+
+    `fits`: how many of the rays looked at fit and lie in front; `looked_at`: of how many. `parallax`: median angle
+    between the rays of a point in rad. `second_cost`: cost of the second orientation over that of the best one.
+    """
+
+    pairs: Int[np.ndarray, "pair 2"]
+    rotation: Float[np.ndarray, "pair 2 3 3"]
+    base: Float[np.ndarray, "pair 2 3"]
+    fits: Int[np.ndarray, " pair"]
+    looked_at: Int[np.ndarray, " pair"]
+    parallax: Float[np.ndarray, " pair"]
+    second_cost: Float[np.ndarray, " pair"]
+
+    @property
+    def accepted(self) -> Bool[np.ndarray, " pair"]:
+        """Pairs with enough rays that fit."""
+        return (self.fits >= MIN_COMMON) & (self.fits >= MIN_SHARE * self.looked_at)
+
+    def only(self, chosen: Bool[np.ndarray, " pair"] | Int[np.ndarray, " chosen"]) -> "BlockPairs":
+        """Some of the pairs."""
+        return BlockPairs(*(values[chosen] for values in self))
+
+
+class _Gathered(NamedTuple):
+    """Rays of the pairs, padded; zeros where there are no more."""
+
+    first: Float[np.ndarray, "pair ray 3"]
+    second: Float[np.ndarray, "pair ray 3"]
+    variance: Float[np.ndarray, "pair ray"]
+    valid: Bool[np.ndarray, "pair ray"]
+
+    def only(self, chosen: Int[np.ndarray, " chosen"]) -> "_Gathered":
+        """Those of some pairs."""
+        return _Gathered(*(x[chosen] for x in self))
+
+
+def block_pairs(directions: Directions, common: CommonRays) -> BlockPairs:
+    """The orientations of all pairs."""
+    rng = np.random.default_rng(0)  # a fixed seed: the same block gives the same start
+    rays = _gathered(directions, common, rng)
+    count = len(common.pairs)
+    values, costs = np.zeros((count, 12, 2)), np.full((count, 2), np.inf)
+    optimised = count >= PAIRS_FOR_OPTIMISATION
+    left, drawn = np.arange(count), np.zeros(count, int)
+    while len(left):
+        for start in range(0, len(left), PAIRS):
+            chosen = np.resize(left[start : start + PAIRS], PAIRS)  # a few pairs are sampled several times each
+            new, new_costs = _oriented(rays, chosen, rng, optimised)
+            drawn += SAMPLES * np.bincount(chosen, minlength=count)
+            order = np.argsort(-new_costs[:, 0], kind="stable")  # of several results of a pair the best is written last
+            order = order[new_costs[order, 0] < costs[chosen[order], 0]]
+            values[chosen[order]], costs[chosen[order]] = new[order], new_costs[order]
+        share = _looked_at(rays.only(left), values[left])[0] / np.maximum(rays.valid[left].sum(1), 1)
+        needed = NOISE * SURE / np.maximum(share, 0.1) ** 5
+        left = left[drawn[left] < np.minimum(needed, MAX_SAMPLES)]
+    fits, parallax = _looked_at(rays, values)
+    values[..., 1] = np.where(np.isfinite(costs[:, 1:]), values[..., 1], values[..., 0])
+    rotation = values[:, :9].reshape(count, 3, 3, 2).transpose(0, 3, 1, 2)
+    with np.errstate(invalid="ignore"):
+        second = np.nan_to_num(costs[:, 1] / np.maximum(costs[:, 0], 1e-12), nan=np.inf)
+    return BlockPairs(
+        common.pairs, rotation, values[:, 9:].transpose(0, 2, 1), fits, rays.valid.sum(1), parallax, second
+    )
+
+
+def _gathered(directions: Directions, common: CommonRays, rng: np.random.Generator) -> _Gathered:
+    index, valid = np.zeros((len(common.pairs), RAYS, 2), int), np.zeros((len(common.pairs), RAYS), bool)
+    for k, rays in enumerate(common.rays):
+        chosen = rays[spread(directions.vector[rays[:, 0]], RAYS, rng)]
+        index[k, : len(chosen)], valid[k, : len(chosen)] = chosen, True
+    first, second = (directions.vector[index[..., k]] for k in range(2))
+    variance = (directions.sigma[index] ** 2).mean(-1)
+    return _Gathered(first, second, variance, valid)
+
+
+def _oriented(
+    rays: _Gathered, chosen: Int[np.ndarray, " chosen"], rng: np.random.Generator, optimised: bool
+) -> tuple[Float[np.ndarray, "chosen 12 2"], Float[np.ndarray, "chosen 2"]]:
+    """One round of pairs that fill a call."""
+    uniform = np.where(rays.valid[chosen][:, None], rng.random((PAIRS, SAMPLES, RAYS)), 2.0)
+    samples = uniform.argpartition(5, axis=2)[:, :, :5].transpose(2, 1, 0)
+    first, second = (on_device(np.ascontiguousarray(x[chosen].transpose(2, 1, 0))) for x in (rays.first, rays.second))
+    part = PairRays(
+        first,
+        second,
+        on_device(np.ascontiguousarray(rays.variance[chosen].T)),
+        on_device(np.ascontiguousarray(rays.valid[chosen].T)),
+    )
+    values, costs = oriented_pairs(part, on_device(np.ascontiguousarray(samples)), optimised=optimised)
+    return np.asarray(values).transpose(2, 0, 1), np.asarray(costs).T
+
+
+def _looked_at(
+    rays: _Gathered, values: Float[np.ndarray, "pair 12 2"]
+) -> tuple[Int[np.ndarray, " pair"], Float[np.ndarray, " pair"]]:
+    """Numbers of rays that fit the best orientation, and median angles between the rays of a point."""
+    rotation, base = values[:, :9, 0].reshape(-1, 3, 3), values[:, 9:, 0]
+    y = np.einsum("pij,pkj->pki", rotation, rays.first)
+    fits, sine_squared = pair_fits(y, rays.second, base[:, None], rays.variance)
+    angle = np.where(rays.valid, np.sqrt(np.maximum(sine_squared, 0)), np.nan)
+    return (fits & rays.valid).sum(1), np.nanmedian(angle, 1)
+
+
+def pair_fits(
+    y: Float[np.ndarray, "... 3"],
+    second: Float[np.ndarray, "... 3"],
+    base: Float[np.ndarray, "... 3"],
+    variance: Float[np.ndarray, "..."],
+) -> tuple[Bool[np.ndarray, "..."], Float[np.ndarray, "..."]]:
+    """Whether rays fit and do not meet behind a photograph, and squared sines of the angles between them.
+
+    `y`, `second`: rays in the system of the second photograph; `base`: unit vector.
+    """
+    f = (base * np.cross(y, second)).sum(-1)
+    a, yt, dt = (y * second).sum(-1), (y * base).sum(-1), (second * base).sum(-1)
+    g = 2 - yt**2 - dt**2 - 2 * f * f
+    fits = f * f < REJECTED * variance * np.maximum(g, 1e-12)
+    behind = (1 - a * a > 2 * PARALLEL * variance) & ((a * dt - yt <= 0) | (dt - a * yt <= 0))
+    return fits & ~behind, 1 - a * a

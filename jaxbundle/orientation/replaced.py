@@ -1,0 +1,83 @@
+"""Words about approximate values that were replaced."""
+
+import numpy as np
+from jaxtyping import Bool, Float
+
+from jaxbundle.block.block import Block
+from jaxbundle.block.findings import Finding, Kind, Subject
+from jaxbundle.block.wording import RADIANS, counted, named
+from jaxbundle.numerics.host import on_host
+from jaxbundle.orientation.sight import Sight
+
+
+def turned(
+    first: Float[np.ndarray, "image 3 3"], second: Float[np.ndarray, "image 3 3"]
+) -> Float[np.ndarray, " image"]:
+    """Angles of the rotations that lead from the first attitudes to the second, in radians."""
+    trace = np.einsum("kij,kij->k", first, second)
+    return np.arccos(np.clip((trace - 1) / 2, -1.0, 1.0))
+
+
+def replaced_images(block: Block, replaced: Bool[np.ndarray, " image"], now: Sight) -> list[Finding]:
+    """What was done to the images."""
+    structure = block.structure
+    if not replaced.any():
+        return []
+    chosen = np.flatnonzero(replaced)
+    before = np.stack(
+        [on_host(x) for x in structure.rotation_system.rotation_from_angles(*on_host(block.exterior.angles)[chosen].T)],
+        -1,
+    )
+    angle = turned(before.reshape(-1, 3, 3), now.rotation[chosen]) / RADIANS[structure.angle_unit]
+    distance = np.linalg.norm(now.centre[chosen] - on_host(block.exterior.projection_centre)[chosen], axis=1)
+    order = np.argsort(-angle)
+    parts = [
+        f"{structure.image_names[chosen[k]]} by {angle[k]:.4g} {structure.angle_unit}"
+        f" and {distance[k]:.4g} {structure.object_unit}"
+        for k in order
+    ]
+    what = (
+        f"the approximate orientation of {counted(len(parts), 'image')} was replaced by a resection from its points:"
+        f" {named(parts)}"
+    )
+    cure = "correct images.csv: the given values do not agree with the rays"
+    subjects = tuple(Subject("images", (structure.image_names[chosen[k]],)) for k in order)
+    return [
+        Finding(
+            Kind.REPAIRED,
+            what.replace("its points", "their points") if len(parts) > 1 else what,
+            cure,
+            subjects,
+            float(angle.max()),
+            structure.angle_unit,
+        )
+    ]
+
+
+def replaced_points(
+    block: Block, replaced: Bool[np.ndarray, " point"], points: Float[np.ndarray, "point 3"], by: str
+) -> list[Finding]:
+    """What was done to the points. `by`: what they were replaced by, {} for whose it is."""
+    structure = block.structure
+    if not replaced.any():
+        return []
+    chosen = np.flatnonzero(replaced)
+    distance = np.nan_to_num(np.linalg.norm(points[chosen] - on_host(block.object_points)[chosen], axis=1))
+    order = np.argsort(-distance)
+    parts = [f"{structure.point_names[chosen[k]]} by {distance[k]:.4g} {structure.object_unit}" for k in order]
+    by = by.format("its" if len(parts) == 1 else "their")
+    what = f"the approximate coordinates of {counted(len(parts), 'point')} were replaced by {by}: {named(parts)}"
+    subjects = tuple(Subject("points", (structure.point_names[chosen[k]],)) for k in order)
+    return [Finding(Kind.REPAIRED, what, "", subjects, float(distance.max()), structure.object_unit)]
+
+
+def hopeless_points(block: Block, hopeless: Bool[np.ndarray, " point"]) -> list[Finding]:
+    """Points whose rays do not meet."""
+    names = [block.structure.point_names[k] for k in np.flatnonzero(hopeless)]
+    if not names:
+        return []
+    one = len(names) == 1
+    what = f"the rays of {counted(len(names), 'point')} do not meet in front of the cameras: {named(names)}"
+    it = "it" if one else "them"
+    cure = f"measure {it} again or drop {it}; the adjustment starts with {it} far away"
+    return [Finding(Kind.WEAK, what, cure, tuple(Subject("points", (name,)) for name in names))]

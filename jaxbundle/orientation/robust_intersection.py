@@ -1,0 +1,121 @@
+"""Points from their rays some of which may be wrong.
+
+The point closest to all believed rays is taken. Where it does not fit them, the intersections of pairs of its rays are
+tried, and that is taken which most of its rays fit (MSAC, Torr and Zisserman 2000); then the rays that fit are taken
+together.
+"""
+
+from typing import NamedTuple
+
+import numpy as np
+from jaxtyping import Bool, Float, Int
+
+from jaxbundle.orientation.intersection import closest_to_rays
+
+DEPTHS = 2.0 ** np.arange(-3, 7)  # of a typical depth
+NEARLY = 2.0  # times the least misfit
+TRIALS = 12  # pairs of rays of a point
+FITS = 4.0  # standard deviations
+
+
+class Rays(NamedTuple):
+    """Rays in the object system; `sigma`: standard deviation of a direction in rad; `believed`: before."""
+
+    image: Int[np.ndarray, " ray"]
+    point: Int[np.ndarray, " ray"]
+    along: Float[np.ndarray, "ray 3"]
+    centre: Float[np.ndarray, "ray 3"]
+    sigma: Float[np.ndarray, " ray"]
+    believed: Bool[np.ndarray, " ray"]
+
+
+class Met(NamedTuple):
+    """Points, NaN where rays do not meet; which rays fit their points, and by how many standard deviations they do
+    not."""
+
+    points: Float[np.ndarray, "point 3"]
+    fits: Bool[np.ndarray, " ray"]
+    off: Float[np.ndarray, " ray"]
+
+
+def met(rays: Rays, count: int) -> Met:
+    """All points."""
+    few = np.bincount(rays.point, rays.believed, count) < 2  # the only pair of two rays may err: all are looked at
+    points = _closest(rays, rays.believed | few[rays.point], count)
+    off = _off(rays, points)
+    number = np.bincount(rays.point, minlength=count)
+    bad = np.bincount(rays.point, ~(off <= FITS), count)
+    doubtful = np.flatnonzero((bad > 0) & (number >= 3))
+    if len(doubtful):
+        points[doubtful] = _tried(rays, doubtful, points, count)
+        off = _off(rays, points)
+        for _ in range(2):
+            again = _closest(rays, off <= FITS, count)
+            new = _off(rays, again)
+            better = _cost(new, rays.point, count) < _cost(off, rays.point, count)
+            points = np.where(better[:, None], again, points)
+            off = np.where(better[rays.point], new, off)
+    return Met(points, off <= FITS, off)
+
+
+def _closest(rays: Rays, used: Bool[np.ndarray, " ray"], count: int) -> Float[np.ndarray, "point 3"]:
+    points = np.array(closest_to_rays(rays.along[used].T, rays.centre[used].T, rays.point[used], count).T)
+    points[np.bincount(rays.point[used], minlength=count) < 2] = np.nan
+    return points
+
+
+def _off(rays: Rays, points: Float[np.ndarray, "point 3"]) -> Float[np.ndarray, " ray"]:
+    """Angles in standard deviations; infinite behind the image or without a point."""
+    vector = points[rays.point] - rays.centre
+    distance = np.linalg.norm(vector, axis=1)
+    sine = np.linalg.norm(np.cross(vector, rays.along), axis=1) / np.maximum(distance, 1e-300)
+    depth = (vector * rays.along).sum(1)
+    return np.where(depth > 0, sine / rays.sigma, np.inf)
+
+
+def _cost(off: Float[np.ndarray, " ray"], point: Int[np.ndarray, " ray"], count: int) -> Float[np.ndarray, " point"]:
+    return np.bincount(point, np.minimum(np.nan_to_num(off, nan=np.inf) / FITS, 1.0) ** 2, count)
+
+
+def _tried(
+    rays: Rays, doubtful: Int[np.ndarray, " chosen"], points: Float[np.ndarray, "point 3"], count: int
+) -> Float[np.ndarray, "chosen 3"]:
+    """Of the intersections of two rays of each point, and what there is, that which fits most rays."""
+    rng = np.random.default_rng(0)
+    place = np.full(count, -1)
+    place[doubtful] = np.arange(len(doubtful))
+    of = np.flatnonzero(place[rays.point] >= 0)
+    some = Rays(*(x[of] for x in rays))._replace(point=place[rays.point[of]])
+    number = np.bincount(some.point)
+    order = np.argsort(some.point, kind="stable")
+    start = np.cumsum(number) - number
+    best, chosen = _cost(_off(some, points[doubtful]), some.point, len(doubtful)), points[doubtful].copy()
+    for _ in range(TRIALS):
+        first = rng.integers(0, number)
+        second = (first + rng.integers(1, number)) % number
+        pair = order[np.concatenate([start + first, start + second])]
+        two = Rays(*(x[pair] for x in some))
+        new = _closest(two, np.ones(len(pair), bool), len(doubtful))
+        cost = _cost(_off(some, new), some.point, len(doubtful))
+        better = cost < best
+        best, chosen[better] = np.where(better, cost, best), new[better]
+    return chosen
+
+
+def ahead(rays: Rays, typical: float, count: int) -> Float[np.ndarray, "point 3"]:
+    """Points in front of their images, as near as the rays pass them nearly as well as farther away.
+
+    Rays of a rough start that are nearly parallel may meet behind their images, or at infinity, from where an
+    adjustment does not come back. `typical`: depth of the other points.
+    """
+    number = np.maximum(np.bincount(rays.point, minlength=count), 1)
+    places, misfits = [], []
+    for depth in typical * DEPTHS:
+        at = rays.centre + depth * rays.along
+        place = np.stack([np.bincount(rays.point, column, count) for column in at.T], 1) / number[:, None]
+        off = np.minimum(_off(rays, place) * rays.sigma, 1.0)
+        places.append(place)
+        misfits.append(np.sqrt(np.bincount(rays.point, off**2, count) / number))
+    misfit = np.stack(misfits)
+    first = np.argmax(misfit <= NEARLY * misfit.min(0), axis=0)
+    return np.stack(places)[first, np.arange(count)]

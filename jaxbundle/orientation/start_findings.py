@@ -1,0 +1,93 @@
+"""What a start from nothing found about the block, as findings."""
+
+from collections.abc import Sequence
+
+import numpy as np
+from jaxtyping import Bool
+
+from jaxbundle.block.block import Block
+from jaxbundle.block.findings import Finding, Kind, Subject, in_order
+from jaxbundle.block.wording import are, counted, named
+from jaxbundle.orientation.approximation import Approximation, OrientedPart
+from jaxbundle.orientation.to_object import Basis
+
+
+def start_findings(
+    block: Block,
+    parts: Sequence[OrientedPart],
+    loose: Sequence[str],
+    suspects: Bool[np.ndarray, " ray"],
+    refused: Bool[np.ndarray, " point"],
+) -> tuple[Finding, ...]:
+    """Findings in the order of a report."""
+    found = [
+        *_loose(loose),
+        *_parts(parts),
+        *_assumption(parts),
+        *_refused(block, refused),
+        *_suspects(block, suspects),
+    ]
+    return in_order(found)
+
+
+def _images(names: Sequence[str]) -> tuple[Subject, ...]:
+    return tuple(Subject("images", (name,)) for name in names)
+
+
+def _loose(names: Sequence[str]) -> list[Finding]:
+    if not names:
+        return []
+    what = f"{counted(len(names), 'image')} could not be oriented: {named(names)}"
+    cure = "measure more points that other oriented images show too, at least 8, or give approximate values"
+    return [Finding(Kind.LOOSE, what, cure, _images(names), float(len(names)))]
+
+
+def _parts(parts: Sequence[OrientedPart]) -> list[Finding]:
+    if len(parts) < 2:
+        return []
+    listing = "; ".join(f"{counted(len(part.images), 'image')} ({named(part.images)})" for part in parts)
+    what = f"the images hang together in {len(parts)} parts, each with a system of its own: {listing}"
+    cure = "measure points that connect the parts, or control for each of them"
+    return [Finding(Kind.PARTS, what, cure, _images(parts[1].images), float(len(parts)))]
+
+
+def _assumption(parts: Sequence[OrientedPart]) -> list[Finding]:
+    if not parts or parts[0].basis is not Basis.LINE:
+        return []
+    what = "control and stations lie on a line; the start assumes that the mean view is vertical"
+    return [Finding(Kind.ASSUMED, what, "measure a control point beside the line")]
+
+
+def _refused(block: Block, refused: Bool[np.ndarray, " point"]) -> list[Finding]:
+    names = [block.structure.point_names[k] for k in np.flatnonzero(refused)]
+    if not names:
+        return []
+    what = f"{counted(len(names), 'control point')} {are(len(names))} not near {'its' if len(names) == 1 else 'their'}"
+    what += f" place in the block: {named(names)}"
+    cure = "check names and coordinates; the start leaves them out, the adjustment takes them"
+    return [Finding(Kind.SUSPECT, what, cure, _subjects(names))]
+
+
+def _subjects(names: Sequence[str]) -> tuple[Subject, ...]:
+    return tuple(Subject("control", (name,)) for name in names)
+
+
+def _suspects(block: Block, suspects: Bool[np.ndarray, " ray"]) -> list[Finding]:
+    s = block.structure
+    rays = np.flatnonzero(suspects)
+    if not len(rays):
+        return []
+    names = [(s.image_names[s.ray_image[k]], s.point_names[s.ray_point[k]]) for k in rays]
+    listing = named([f"point {point} on image {image}" for image, point in names])
+    what = f"{counted(len(names), 'ray')} {'does' if len(names) == 1 else 'do'} not agree with the others: {listing}"
+    cure = "measure again, or adjust with robust weights; the start leaves them out, the adjustment takes them"
+    subjects = tuple(Subject("rays", pair) for pair in names)
+    return [Finding(Kind.SUSPECT, what, cure, subjects, float(len(names)), "rays")]
+
+
+def found_orientations(found: Approximation) -> tuple[Finding, ...]:
+    """What was done: the way and the figures of its steps."""
+    steps = "; ".join(step.words for step in found.steps)
+    number = sum(len(part.images) for part in found.parts)
+    what = f"the start was found from the rays, with {counted(number, 'image')} oriented ({found.way.value}): {steps}"
+    return (Finding(Kind.APPROXIMATED, what, "", (), float(number)),)

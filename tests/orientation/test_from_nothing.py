@@ -1,0 +1,261 @@
+"""A block from its rays: ways, parts, loose images, control; and what is told."""
+
+import dataclasses
+
+import equinox as eqx
+import jax.numpy as jnp
+import numpy as np
+import pytest
+from cases.bare_blocks import Bare, aerial, bare, block_of, errors, scene, without_start
+
+import jaxbundle as jb
+from jaxbundle.block.block import Block
+from jaxbundle.block.findings import Kind, Subject
+from jaxbundle.orientation import from_nothing
+from jaxbundle.orientation.approximation import Way
+from jaxbundle.orientation.to_object import Basis
+
+SOON = 0.02  # of the distance, 1 deg: the adjustment converges from there
+
+
+def aerial_block(
+    strips: int, images: int, points: int = 40, share: float = 0.0, seed: int = 0, relief: float = 100.0
+) -> Bare:
+    rng = np.random.default_rng(seed)
+    return bare(*aerial(strips, images, points, rng, relief), share, rng)
+
+
+def with_rays(truth: Bare, keep: np.ndarray) -> Bare:
+    """Some of the rays; points that are left with one ray lose it."""
+    s = truth.block.structure
+    count = np.bincount(s.ray_point[keep], minlength=len(s.point_names))
+    keep = keep & (count[s.ray_point] >= 2)
+    used, point = np.unique(s.ray_point[keep], return_inverse=True)
+    block = block_of(s.ray_image[keep], point, np.asarray(truth.block.rays.coordinates)[keep], len(s.image_names))
+    return truth._replace(block=block, points=truth.points[used], wrong=truth.wrong[keep])
+
+
+def with_group(block: Block, kind: jb.ObservationKind, index: np.ndarray, values: np.ndarray, sigma: float) -> Block:
+    group = jb.observation_group(kind, index[:, None], values, np.full(values.shape, sigma))
+    return dataclasses.replace(block, groups=(*block.groups, group))
+
+
+def is_right(found: jb.Approximation, truth: Bare) -> bool:
+    angle, off = errors(found.block, truth)
+    return bool(found.complete and angle.max() < 1 and off.max() < SOON)
+
+
+@pytest.fixture(scope="module")
+def strips() -> Bare:
+    return aerial_block(2, 4)
+
+
+@pytest.fixture(scope="module")
+def found(strips) -> jb.Approximation:
+    return jb.approximate(strips.block)
+
+
+def test_a_block_of_rays_alone(strips, found):
+    assert is_right(found, strips)
+    assert found.way is Way.GLOBAL
+    assert [part.basis for part in found.parts] == [Basis.OWN]
+    assert not found.suspect_rays.any()
+    assert found.findings == ()
+    pairs, rotations, positions, *_ = found.steps
+    assert pairs.value("oriented") == pairs.value("of") >= 10
+    assert rotations.value("parts") == 1
+    assert positions.value("second over first eigenvalue") > 100
+    assert "8 of 8 images oriented" in found.summary()
+
+
+def test_a_system_of_its_own_looks_down(found):
+    centre, points = np.asarray(found.block.exterior.projection_centre), np.asarray(found.block.object_points)
+    assert centre[:, 2].min() > points[:, 2].max()
+    distance = np.linalg.norm(centre[:, None] - centre, axis=2) + 9 * np.eye(len(centre))
+    assert np.median(distance.min(1)) == pytest.approx(1)
+
+
+def test_the_adjustment_ends_as_from_given_values(strips, found):
+    result = jb.adjust(found.block, precision=False)
+    given = jb.adjust(
+        eqx.tree_at(
+            lambda b: (b.exterior.projection_centre, b.exterior.angles, b.object_points),
+            strips.block,
+            (jnp.asarray(strips.centre), jnp.asarray(angles_of(strips)), jnp.asarray(strips.points)),
+        ),
+        precision=False,
+    )
+    assert result.status.name == "CONVERGED"
+    assert float(result.sigma0) == pytest.approx(float(given.sigma0), rel=1e-9)
+
+
+def angles_of(truth: Bare) -> np.ndarray:
+    system = truth.block.structure.rotation_system
+    return np.stack([np.asarray(x) for x in system.angles_from_rotation(tuple(truth.rotation.reshape(-1, 9).T))], 1)
+
+
+def test_flat_ground_chooses_no_twin():
+    flat = aerial_block(2, 4, seed=1, relief=0.0)
+    assert is_right(jb.approximate(flat.block), flat)
+
+
+def test_a_flat_strip_of_three_images_agrees():
+    plane = aerial_block(1, 3, seed=2, relief=0.0)
+    found = jb.approximate(plane.block)
+    assert is_right(found, plane)
+    assert found.steps[1].value("largest") < 1
+
+
+def test_wrong_rays_are_named():
+    truth = aerial_block(2, 4, points=60, share=0.2, seed=3)
+    found = jb.approximate(truth.block)
+    assert is_right(found, truth)
+    assert found.suspect_rays[truth.wrong].mean() > 0.95
+    (told,) = (finding for finding in found.findings if finding.kind is Kind.SUSPECT)
+    assert len(told.subjects) == found.suspect_rays.sum()
+    assert found.block.structure is not None and len(found.block.structure.ray_image) == len(truth.wrong)
+
+
+def test_parts_are_told(strips):
+    s = strips.block.structure
+    upper = np.asarray(s.ray_image) >= 4
+    mixed = np.bincount(s.ray_point, upper) * np.bincount(s.ray_point, ~upper) > 0
+    apart = with_rays(strips, ~mixed[s.ray_point])
+    found = jb.approximate(apart.block)
+    assert [len(part.images) for part in found.parts] == [4, 4]
+    assert not found.complete and not found.loose
+    (told,) = (finding for finding in found.findings if finding.kind is Kind.PARTS)
+    assert "2 parts" in told.what
+
+
+def test_a_loose_image_is_named(strips):
+    s = strips.block.structure
+    own = np.flatnonzero(s.ray_image == 7)
+    found = jb.approximate(with_rays(strips, ~np.isin(np.arange(len(s.ray_image)), own[3:])).block)
+    assert found.loose == ("i7",)
+    (told,) = (finding for finding in found.findings if finding.kind is Kind.LOOSE)
+    assert told.subjects == (Subject("images", ("i7",)),)
+    assert "measure more points" in told.cure
+    with pytest.raises(jb.BlockError, match="image i7 has no orientation"):
+        jb.adjust(found.block)
+
+
+def test_control_brings_it_into_the_object_system(strips):
+    chosen = np.array([3, 40, 80, 120, 160])
+    given = strips.points[chosen] + [500000.0, 5000000.0, 300.0]
+    wrong = given.copy()
+    wrong[2] += [0.0, 300.0, 0.0]
+    found = jb.approximate(with_group(strips.block, jb.CONTROL, chosen, wrong, 0.05))
+    assert found.parts[0].basis is Basis.ANCHORS
+    off = np.asarray(found.block.exterior.projection_centre) - strips.centre - [500000.0, 5000000.0, 300.0]
+    assert np.abs(off).max() < 1000 * SOON
+    (told,) = (finding for finding in found.findings if finding.subjects == (Subject("control", ("p80",)),))
+    assert "not near its place" in told.what
+
+
+@pytest.mark.thorough
+def test_plan_and_height_control(strips):
+    chosen = np.array([3, 40, 80, 120, 160, 10])
+    given = strips.points[chosen].copy()
+    given[:2, 2] = np.nan
+    given[2:, :2] = np.nan
+    block = with_group(strips.block, jb.CONTROL, chosen, given, 0.05)
+    found = jb.approximate(block)
+    assert found.parts[0].basis is Basis.PLAN_HEIGHT
+    assert np.abs(np.asarray(found.block.exterior.projection_centre) - strips.centre).max() < 1000 * 3 * SOON
+
+
+def test_stations_and_a_wrong_one(strips):
+    given = strips.centre.copy()
+    given[5] += [0, 0, 500.0]
+    found = jb.approximate(with_group(strips.block, jb.STATIONS, np.arange(8), given, 0.1))
+    assert found.parts[0].basis is Basis.ANCHORS
+    assert np.abs(np.asarray(found.block.exterior.projection_centre) - strips.centre).max() < 1000 * SOON
+
+
+def test_stations_of_another_system_are_no_reason_to_mirror(strips):
+    exchanged = strips.centre[:, [1, 0, 2]]
+    found = jb.approximate(with_group(strips.block, jb.STATIONS, np.arange(8), exchanged, 0.1))
+    angles = found.block.exterior.angles
+    rotation = np.stack(
+        [np.asarray(x) for x in found.block.structure.rotation_system.rotation_from_angles(*np.asarray(angles).T)], 1
+    ).reshape(-1, 3, 3)
+    np.testing.assert_allclose(np.linalg.det(rotation), 1)
+
+
+def test_equal_stations_give_no_scale(strips):
+    found = jb.approximate(with_group(strips.block, jb.STATIONS, np.arange(8), np.ones((8, 3)), 0.1))
+    assert found.parts[0].basis is Basis.OWN
+    assert is_right(found, strips)
+
+
+def test_a_straight_strip_with_stations_only_is_an_assumption():
+    strip = aerial_block(1, 5, seed=4)
+    straight = np.c_[strip.centre[:, 0], np.zeros(5), np.full(5, 1000.0)]  # as flown, but for some metres
+    found = jb.approximate(with_group(strip.block, jb.STATIONS, np.arange(5), straight, 0.1))
+    assert found.parts[0].basis in (Basis.LINE, Basis.ANCHORS)
+    down = np.asarray(found.block.exterior.projection_centre)[:, 2].mean() - np.nanmean(found.block.object_points[:, 2])
+    assert down == pytest.approx(1000, rel=0.05)
+
+
+def test_images_in_one_place():
+    """Pure rotations: the attitudes are found, without any base."""
+    rng = np.random.default_rng(0)
+    centre, rotation, points = scene("rotations", rng, 40)
+    truth = bare(centre, rotation, points, 0.0, rng)
+    assert is_right(jb.approximate(truth.block), truth)
+
+
+def test_motion_along_the_axis():
+    rng = np.random.default_rng(1)
+    centre = np.c_[rng.normal(0, 0.02, (4, 2)), -1.5 * np.arange(4)]
+    points = np.c_[rng.uniform(-6, 6, (150, 2)), rng.uniform(-20, -10, 150)]
+    truth = bare(centre, np.tile(np.eye(3), (4, 1, 1)), points, 0.0, rng)
+    angle, _ = errors(jb.approximate(truth.block).block, truth)
+    assert angle.max() < 1
+
+
+def test_what_cannot_be_started():
+    strips = aerial_block(1, 2, seed=5)
+    with pytest.raises(TypeError):
+        jb.approximate("block")  # pyright: ignore[reportArgumentType]
+    empty = dataclasses.replace(
+        strips.block.structure, ray_image=np.zeros(0, np.int32), ray_point=np.zeros(0, np.int32)
+    )
+    with pytest.raises(jb.BlockError, match="has no rays"):
+        jb.approximate(dataclasses.replace(strips.block, structure=empty))
+
+
+@pytest.mark.parametrize("name", ["strasbourg-s4-tie", pytest.param("camcal-c2-weighted", marks=pytest.mark.thorough)])
+def test_measured_blocks_are_resected_from_control(shared_data, name):
+    given = jb.read(shared_data / name, check_start=False)
+    found = jb.approximate(without_start(given))
+    assert found.way is Way.RESECTION
+    assert found.complete
+    away = np.linalg.norm(found.block.exterior.projection_centre - given.exterior.projection_centre, axis=1)
+    assert away.max() < 0.05 * np.ptp(np.asarray(given.exterior.projection_centre)[:, :2], axis=0).max()
+    assert found.suspect_rays.sum() <= 2
+
+
+def test_given_orientations_stay(strips, found):
+    kept = found.block.exterior
+    gaps = eqx.tree_at(lambda b: b.exterior.angles, found.block, kept.angles.at[6:].set(jnp.nan))
+    again = jb.approximate(gaps)
+    np.testing.assert_array_equal(again.block.exterior.angles[:6], kept.angles[:6])
+    np.testing.assert_array_equal(again.block.exterior.projection_centre[:6], kept.projection_centre[:6])
+    assert again.complete
+    np.testing.assert_allclose(again.block.exterior.angles[6:], kept.angles[6:], atol=0.02)
+
+
+@pytest.mark.thorough
+@pytest.mark.parametrize("name", ["strasbourg-s4-tie", "camcal-c2-weighted"])
+@pytest.mark.parametrize("way", [Way.RESECTION, Way.GLOBAL])
+def test_measured_blocks_end_at_the_same_sigma0(shared_data, name, way, monkeypatch):
+    given = jb.read(shared_data / name, check_start=False)
+    if way is Way.GLOBAL:  # as if few images showed control
+        monkeypatch.setattr(from_nothing, "MOST", 2.0)
+    found = jb.approximate(without_start(given))
+    assert found.way is way
+    result, expected = (jb.adjust(block, precision=False) for block in (found.block, given))
+    assert result.status.name == "CONVERGED"
+    assert float(result.sigma0) == pytest.approx(float(expected.sigma0), rel=1e-9)
