@@ -161,7 +161,9 @@ def _strip(
     scatter: float,
 ) -> Strip:
     """Points of all models of a strip in one system; of a point in several models the mean."""
-    rays = int(np.shape(states[0].turn)[1]) // 2
+    shape = states[0].turn.shape
+    assert shape is not None  # the type of a sparse matrix allows it
+    rays = int(shape[1]) // 2
     images = np.array([models.pair[part[0], 0], *models.pair[part, 1]])
     last = states[-1]
     rotation = np.stack([*(s.rotation for s in states), last.rotation @ models.rotation[part[-1]]])

@@ -46,7 +46,7 @@ def propagated(adjustment: Adjustment, errors: sp.csr_matrix) -> Propagated | No
         return None
     system = dense_system(adjustment)
     if adjustment.reweighting is not None:  # the system has the weights of the last round
-        roots = np.ones(np.shape(errors)[0])
+        roots = np.ones(len(errors.indptr) - 1)
         of_rays = np.repeat(np.sqrt(np.asarray(adjustment.reweighting.weights)), structure.model.components)
         roots[: len(of_rays)] = of_rays
         errors = sp.csr_matrix(sp.diags(roots) @ errors)
@@ -70,7 +70,7 @@ def all_errors(block: Block, of_rays: sp.csr_matrix, of_priors: sp.csr_matrix | 
     columns = sp.csr_matrix(others)[:, independent]
     rays = of_rays if of_priors is None else sp.csr_matrix(sp.vstack([of_rays, of_priors]))
     both = sp.csr_matrix(sp.block_diag([rays, columns]))
-    seen, end, count = (int(np.shape(matrix)[0]) for matrix in (of_rays, rays, both))
+    seen, end, count = (len(matrix.indptr) - 1 for matrix in (of_rays, rays, both))
     return sp.csr_matrix(both[np.concatenate([np.arange(seen), np.arange(end, count), np.arange(seen, end)])])
 
 

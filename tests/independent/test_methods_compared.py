@@ -1,5 +1,6 @@
 """Simulated blocks with known truth: bundle, models and strips against each other and against laws of accuracy."""
 
+import jax.numpy as jnp
 import numpy as np
 import pytest
 from cases.gruber_blocks import columns_and_rows, gruber_block, perimeter, with_control
@@ -9,7 +10,7 @@ import jaxbundle as jb
 from jaxbundle.block.findings import Kind
 from jaxbundle.independent.adjust_models import formed
 from jaxbundle.independent.model_block import model_block
-from jaxbundle.independent.polynomials import correction, elements
+from jaxbundle.independent.polynomials import Form, correction, elements
 from jaxbundle.independent.sensors import factor_numbers
 from jaxbundle.independent.strip_block import curb_group, normalised, polynomial_block, polynomial_sensors
 
@@ -25,7 +26,7 @@ def simulation() -> jb.Simulation:
 def test_unbiased_and_as_precise_as_reported(simulation):
     """Scatter of the models' coordinates over their standard deviations by propagation is 1; the mean error is 0."""
     truth, errors, ratios = np.asarray(simulation.truth.object_points), [], []
-    deviations = None
+    deviations, points = None, np.zeros(0, int)
     for seed in range(DRAWS):
         result = jb.adjust_models(with_noise(simulation, seed))
         if deviations is None:
@@ -71,7 +72,7 @@ def _mean_height(of_models, points: int) -> float:
     deviations = np.where(ground[:, None], [0.7, 0.7, 1.0], [1.6, 1.6, 0.6])
     numbers = np.array(block.rays.coordinates)
     numbers[:, 3:9] = factor_numbers(deviations[:, :, None] ** 2 * np.eye(3))
-    weighted = jb.Rays(np.asarray(numbers), block.rays.sigmas)
+    weighted = jb.Rays(jnp.asarray(numbers), block.rays.sigmas)
     result = jb.adjust(_with(block, weighted))
     assert result.cofactors is not None
     q = np.asarray(result.cofactors.object_points)[:count, 2, 2]
@@ -105,7 +106,8 @@ def test_strips(simulation, strips):
 @pytest.mark.parametrize("degree", [2, 3])
 def test_bent_strips_are_straightened(simulation, strips, degree):
     """Strips of exact coordinates, bent by polynomials of up to 20 m and disturbed by noise, come back to the noise."""
-    how, rng = ("separate", degree), np.random.default_rng(degree)
+    how: tuple[Form, int] = "separate", degree
+    rng = np.random.default_rng(degree)
     truth, bent, names = simulation.truth, [], strips.adjustment.block.structure.image_names
     points, centres = np.asarray(truth.object_points), np.asarray(truth.exterior.projection_centre)
     bends = [rng.uniform(-20, 20, len(elements(*how))) for _ in names]

@@ -33,7 +33,7 @@ def test_conformal_in_space_is_a_similarity_everywhere():
     c, at = tuple(rng.normal(size=10)), rng.normal(size=3)
     step = 1e-20  # imaginary: derivatives of polynomials without rounding
     along = [correction("conformal", 2, c, (*(at + 1j * step * e), 0.0)) for e in np.eye(3)]
-    j = np.array(along).imag.T / step
+    j = np.imag(np.array(along)).T / step
     symmetric = (j + j.T) / 2
     np.testing.assert_allclose(symmetric, symmetric[0, 0] * np.eye(3), atol=1e-12)
 
