@@ -144,7 +144,7 @@ def _snapped(
     known = np.full((len(ties), 3), np.nan)
     tree, is_check = KDTree(ties), np.zeros(len(ties), bool)
     if len(control):
-        for place, sigma in zip(tree.query(control)[1], sigmas, strict=True):
+        for place, sigma in zip(np.asarray(tree.query(control)[1]).tolist(), sigmas, strict=True):
             known[place] = np.fmin(known[place], sigma)
     if len(check):
         is_check[tree.query(check)[1]] = True

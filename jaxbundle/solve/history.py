@@ -29,8 +29,8 @@ class History(NamedTuple):
 
 def empty_history(max_iterations: int) -> History:
     """The history of a solve before its first iteration."""
-    unknown = [on_device(np.full(max_iterations, np.nan)) for _ in range(3)]
-    return History(*unknown, on_device(np.zeros(max_iterations, bool)))
+    unknown = on_device(np.full(max_iterations, np.nan))
+    return History(unknown, unknown, unknown, on_device(np.zeros(max_iterations, bool)))
 
 
 def history_of(entries: Iterable[tuple[int, float, float, float, bool]], max_iterations: int) -> History:

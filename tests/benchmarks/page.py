@@ -45,10 +45,11 @@ def typical(block) -> Adjustment:
         jnp.zeros((0, 0)),
     )
     history = history_of([(k, 1e6 / 10**k, 10.0 ** -(k + 4), 10.0**-k, True) for k in range(6)], 200)
-    numbers = (jnp.asarray(x) for x in (1, 6, 6, 1e6, 10.0, 1e-9, 0.0))
+    status, trials, accepted, *numbers = (jnp.asarray(x) for x in (1, 6, 6, 1e6, 10.0, 1e-9, 0.0))
+    iterations = Iterations(status, trials, accepted, numbers[0], numbers[1], numbers[2], numbers[3], history)
     redundancy = tuple(jnp.full(sigma.shape, 0.8) for sigma in sigmas)
     arrays = tuple(map(jnp.asarray, residuals)), tuple(map(jnp.asarray, weighted))
-    return Adjustment(block, *arrays, cofactors, redundancy, Iterations(*numbers, history), Options(), "panels")
+    return Adjustment(block, *arrays, cofactors, redundancy, iterations, Options(), "panels")
 
 
 def main() -> None:

@@ -270,7 +270,10 @@ def test_a_block_too_large_for_an_engine_is_2(run, folder, monkeypatch):
     ("options", "message"),
     [
         (("--method", "newton"), "'newton' is not one of"),
-        (("--method", "strips", "--form", "conformal", "--degree", "3"), "--form conformal is of degree 2"),
+        (
+            ("--method", "strips", "--polynomials", "conformal", "--degree", "3"),
+            "--polynomials conformal are of degree 2",
+        ),
         (("--method", "models", "--stop", "parallax", "--limit", "1"), "belong to the bundle"),
         (("--stop", "points"), "--stop points needs a --limit"),
         (("--robust-limit", "3"), "--robust-limit belongs to --robust"),

@@ -79,5 +79,5 @@ def test_tables_of_a_wrong_form(written, table, words):
 
 
 def test_a_table_that_no_folder_has(written):
-    with pytest.raises(jb.BlockError, match="raise is unknown"):
-        jb.Block.from_tables(**written.tables, **written.options, **{"raise": {"a": [1]}})
+    with pytest.raises(jb.BlockError, match="distance is unknown"):
+        jb.Block.from_tables(**written.tables, **written.options, distance={"from": ["1"]})

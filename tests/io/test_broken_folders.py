@@ -199,9 +199,10 @@ CASES: dict[str, tuple[Edit, str]] = {
         'drop it, or give the rays in px and image_unit = "px"',
     ),
     "unknown distortion": (
-        toml(19, "none", "fisheye"),
-        "block.toml:19: [cameras.wide] distortion 'fisheye' is unknown; "
-        "known: none, brown, brown-affine-last, brown-scale-first, brown-forward, aicon, metashape, bal, ebner, gruen",
+        toml(19, "none", "fish-eye"),
+        "block.toml:19: [cameras.wide] distortion 'fish-eye' is unknown; "
+        "known: none, brown, brown-affine-last, brown-scale-first, brown-forward, aicon, metashape, bal, ebner, gruen, "
+        "opencv-rational, fisheye, fisheye-624, fov, division, eucm",
     ),
     "unknown coefficient": (
         toml(19, '"none"', '"brown"\ncoefficients = { K1 = 0.1, K9 = 0.2 }'),

@@ -43,7 +43,6 @@ REFUSED: dict[str, tuple[int, str, tuple[str, ...]]] = {
         ("none of the 16 control points", "all 16 names match without 'GCP'", "317 for GCP317"),
     ),
     "a25_c_negative": (1, "block.toml:13", ("principal_distance", "greater than 0")),
-    "a33_images_without_coordinates": (5, "images.csv:2", ("X0, Y0, Z0, omega, phi, kappa", "approximate values")),
     "a34_images_columns_missing": (1, "images.csv:1", ("'X0', 'Y0', 'Z0'", "approximate values")),
     "a37_image_name_ext": (
         1196,

@@ -181,8 +181,8 @@ def test_residuals_by_class_image_and_cell(adjustment, figures):
     v = np.asarray(adjustment.residuals[0])[figures.structure.ray_image == 3]
     np.testing.assert_allclose(of_images.rms[3], np.sqrt((v**2).mean(0)))
     field = rays.residual_field(figures, 0)
-    assert field.count.sum() == count
-    np.testing.assert_allclose((field.mean * field.count[:, None]).sum(0), figures.residuals[0].sum(0), atol=1e-9)
+    assert field.rays.sum() == count
+    np.testing.assert_allclose((field.mean * field.rays[:, None]).sum(0), figures.residuals[0].sum(0), atol=1e-9)
     assert field.probability > 0.001
 
 

@@ -25,9 +25,9 @@ def test_exact_sums_and_the_errors_of_the_approximations():
     n = np.arange(1, 41)
     exact = accumulation(n)
     assert np.allclose(exact**2, np.cumsum(n**2))
-    low = 1 - printed_accumulation(n) / exact
+    low = 1 - np.asarray(printed_accumulation(n)) / exact
     assert low[[4, 9, 19]] == pytest.approx([0.126, 0.065, 0.032], abs=6e-4)
-    assert np.abs(close_accumulation(n[4:]) / exact[4:] - 1).max() < 0.0042
+    assert np.abs(np.asarray(close_accumulation(n[4:])) / np.asarray(exact)[4:] - 1).max() < 0.0042
 
 
 def test_the_worked_example():

@@ -120,9 +120,9 @@ def _statistics(groups: dict[str, vectors.Vectors], unit: str) -> str:
         found = vectors.spread(group)
         kind = "internal" if name == "control" else "external"
         for k, c in enumerate("XYZ"):
-            if found.count[k]:
+            if found.number[k]:
                 numbers = (found.rms[k], found.expected[k], found.mean[k], found.largest[k])
-                cells = [str(found.count[k]), *(digits(x, 3) for x in numbers)]
+                cells = [str(found.number[k]), *(digits(x, 3) for x in numbers)]
                 first = tag("th", f"{name} points {c} [{text(unit)}], {kind}", scope="row")
                 lines.append(tag("tr", first + "".join(tag("td", cell) for cell in cells), class_=kind))
     head = tag("thead", tag("tr", [tag("th", h, scope="col") for h in heads]))
@@ -205,12 +205,10 @@ def _cameras(figures: Figures) -> str:
 def _camera(figures: Figures, c: int) -> str:
     name = figures.structure.cameras[c].name
     parts, field = [], rays.residual_field(figures, c)
-    if len(field.count):
+    if len(field.rays):
         drawn, factor = drawings.field_drawing(field, f"mean residuals of camera {name}")
         p = chance(field.probability)
-        caption = (
-            f"Mean residuals in {len(field.count)} cells of the format, enlarged {factor:g} times; blue: more than"
-        )
+        caption = f"Mean residuals in {len(field.rays)} cells of the format, enlarged {factor:g} times; blue: more than"
         caption += f" 3 of their standard deviations. All zero: {p}, correlations between residuals neglected."
         parts.append(figure(drawn, caption))
     curve = cameras.distortion(figures, c)

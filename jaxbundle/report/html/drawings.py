@@ -174,9 +174,12 @@ def precision_drawing(found: PrecisionMap, plan: Plan, unit: str, name: str) -> 
     pixels = np.zeros((*found.median.shape, 4), np.uint8)
     pixels[..., :3] = viridis(share)
     pixels[..., 3] = np.where(np.isfinite(found.median), 255, 0)
-    place = {"x": float(axes.u(west)), "y": float(axes.v(north))}
-    size = {"width": float(axes.u(east)) - place["x"], "height": float(axes.v(south)) - place["y"]}
-    picture = tag("image", href=png(pixels[::-1]), preserveAspectRatio="none", **place, **size, class_="cells")
+    x, y = float(axes.u(west)), float(axes.v(north))
+    width, height = float(axes.u(east)) - x, float(axes.v(south)) - y
+    source = png(pixels[::-1])
+    picture = tag(
+        "image", href=source, preserveAspectRatio="none", x=x, y=y, width=width, height=height, class_="cells"
+    )
     control = _there(plan.points)
     control = control[plan.role[control] == CONTROL_POINT]
     marks = [tag("path", d=triangle(u, v, 3.5)) for _, u, v in _places(axes, plan.points, control)]
@@ -202,13 +205,13 @@ def field_drawing(field: Field, name: str) -> tuple[str, float]:
     left, low, right, high = field.format
     axes = plan_axes((left, low, right, high), 440, 420)
     size = np.hypot(*field.mean.T)
-    cell = np.hypot(right - left, high - low) / max(np.sqrt(len(field.count)), 3.0)
+    cell = np.hypot(right - left, high - low) / max(np.sqrt(len(field.rays)), 3.0)
     longest = float(np.quantile(size, 0.95)) if len(size) else 0.0
     factor = nice(0.9 * cell / longest) if longest > 0 else 1.0
     down = field.unit == "px"  # v of pixels grows downwards, residuals point up in all images
     parts = [tag("path", d=square_of(axes, field.format), class_="format")]
     for x, y, (dx, dy), ratio, count in zip(
-        field.x.tolist(), field.y.tolist(), field.mean.tolist(), field.ratio, field.count.tolist(), strict=True
+        field.x.tolist(), field.y.tolist(), field.mean.tolist(), field.ratio, field.rays.tolist(), strict=True
     ):
         u, v = float(axes.u(x)), float(axes.v(low + high - y if down else y))
         words = titled(f"vx {dx:.3g} vy {dy:.3g} {field.unit}, {count} rays, {np.abs(ratio).max():.1f} sd")

@@ -31,7 +31,7 @@ class Field(NamedTuple):
     y: Float[np.ndarray, " cell"]
     mean: Float[np.ndarray, "cell 2"]
     ratio: Float[np.ndarray, "cell 2"]
-    count: Int[np.ndarray, " cell"]
+    rays: Int[np.ndarray, " cell"]
     format: tuple[float, float, float, float]
     unit: str
     probability: float

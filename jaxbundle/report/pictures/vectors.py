@@ -35,7 +35,7 @@ class Vectors(NamedTuple):
 class Spread(NamedTuple):
     """Statistics of differences, by coordinate."""
 
-    count: tuple[int, ...]
+    number: tuple[int, ...]
     rms: tuple[float, ...]
     mean: tuple[float, ...]
     largest: tuple[float, ...]
