@@ -25,7 +25,7 @@ from jaxbundle.geometry.rotation import OMEGA_PHI_KAPPA, RotationSystem
 from jaxbundle.numerics.host import array_module, freeze_arrays, is_concrete, on_device, on_host
 
 CENTRE_ELEMENTS = ("X0", "Y0", "Z0")
-IN_IMAGE_UNIT = ("principal_distance", "x0", "y0", "f")  # interior elements that are lengths in the image
+DISTANCES, COORDINATES = ("principal_distance", "f"), ("x0", "y0")  # interior elements that are lengths in the image
 
 
 @dataclass(frozen=True)
@@ -41,8 +41,9 @@ class Camera:
 
     def unit_of(self, element: str) -> str:
         """Unit of an interior element, "" of one without a unit, as most coefficients are."""
-        in_mm = self.metric or self.image_unit == "mm"
-        return ("mm" if in_mm else self.image_unit) if element in IN_IMAGE_UNIT else ""
+        if element in COORDINATES:  # of the principal point, in the unit of the rays even where there is a pixel size
+            return self.image_unit
+        return ("mm" if self.metric else self.image_unit) if element in DISTANCES else ""
 
 
 class Owner(NamedTuple):

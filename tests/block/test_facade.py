@@ -108,3 +108,15 @@ def test_replaced_values_are_differentiated(block):
     assert float(jax.grad(weights)(0.5)) == pytest.approx(-2 * count / 0.5**3)
     distance = jax.vmap(lambda c: block.replace(interior={"camera": {"principal_distance": c}}).interior.elements[0])
     np.testing.assert_array_equal(distance(jnp.array([150.0, 151.0]))[:, 0], [150.0, 151.0])
+
+
+@pytest.mark.parametrize(
+    ("image_unit", "metric", "distance", "point"),
+    [("px", False, "px", "px"), ("px", True, "mm", "px"), ("mm", False, "mm", "mm")],
+)
+def test_units_of_interior_elements(image_unit, metric, distance, point):
+    """With a pixel size the principal distance is in mm, the principal point in px as the rays."""
+    camera = jb.Camera("c", jb.CAMERA_MODELS["brown"], image_unit, metric=metric)
+    assert camera.unit_of("principal_distance") == distance
+    assert camera.unit_of("x0") == camera.unit_of("y0") == point
+    assert camera.unit_of("K1") == ""
