@@ -70,7 +70,7 @@ def _extreme_sigmas(block: Block) -> list[Finding]:
             Finding(Kind.SIGMAS, what, "correct the sigma, and its unit", subjects, float(sigmas[few].min()))
         )
     for group in block.groups:
-        if group.structure.kind is CONTROL and group.covariances is None:
+        if group.structure.kind == CONTROL and group.covariances is None:
             findings += _extreme_control(
                 block, group.structure.indices[:, 0], np.asarray(group.sigmas), group.structure.observed
             )
@@ -133,7 +133,7 @@ def _wrong_control(start: Block, adjustment: Adjustment) -> list[Finding]:
 def _as_observed(block: Block) -> _Loose | None:
     """The block with held control points observed instead, in the same group as the others."""
     groups = [
-        k for k, group in enumerate(block.groups) if group.structure.kind is CONTROL and group.covariances is None
+        k for k, group in enumerate(block.groups) if group.structure.kind == CONTROL and group.covariances is None
     ]
     free = block.structure.point_free
     held = np.flatnonzero(~free.all(1))

@@ -40,7 +40,7 @@ def full_control(block: Block) -> Bool[np.ndarray, " point"]:
     """Points whose three coordinates are fixed or observed."""
     known = np.array(~block.structure.point_free)
     for group in block.groups:
-        if group.structure.kind is CONTROL:
+        if group.structure.kind == CONTROL:
             known[group.structure.indices[:, 0]] |= group.structure.observed
     return np.asarray(known.all(1))
 

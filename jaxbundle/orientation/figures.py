@@ -41,11 +41,11 @@ def with_figures(block: Block) -> tuple[Block, list[Problem]]:
         elif kind in (PLANES, LINES):
             for members in _figures(indices, np.flatnonzero(np.isnan(frames[:, 0]))):
                 points = np.asarray(block.object_points)[indices[members, 0]]
-                frame = _frame(points, kind is PLANES) if np.isfinite(points).all() else None
+                frame = _frame(points, kind == PLANES) if np.isfinite(points).all() else None
                 frames[members] = np.concatenate([points.mean(0), np.eye(3).ravel()]) if frame is None else frame
                 values[indices[members[0], 1:]] = 0.0
                 if frame is None and np.isfinite(points).all():
-                    problems.append(_no_figure(block, kind is PLANES, int(members[0]), indices[members[0]]))
+                    problems.append(_no_figure(block, kind == PLANES, int(members[0]), indices[members[0]]))
     groups = tuple(
         eqx.tree_at(lambda g: g.constants, group, on_device(frames))
         for group, frames in zip(block.groups, constants, strict=True)

@@ -107,7 +107,7 @@ def _known(block: Block) -> Float[np.ndarray, "point 3"]:
     """Coordinates that are held or observed."""
     known = np.where(block.structure.point_free, np.nan, np.asarray(block.object_points))
     for group in block.groups:
-        if group.structure.kind is CONTROL:
+        if group.structure.kind == CONTROL:
             point, observed = group.structure.indices[:, 0], group.structure.observed
             known[point] = np.where(observed, np.asarray(group.values), known[point])
     return known
