@@ -15,6 +15,7 @@ import importlib
 from typing import TYPE_CHECKING, Any
 
 if TYPE_CHECKING:
+    from jaxbundle import imagery
     from jaxbundle.approximate.absolute_orientation import AbsoluteOrientation, absolute_orientation
     from jaxbundle.approximate.intersection import intersect
     from jaxbundle.approximate.relative_orientation import RelativeOrientation, relative_orientation
@@ -156,6 +157,7 @@ _MODULES = {
     ),
     "textbook": ("crosscheck",),
 }
+_ROOMS = ("imagery",)  # names that stand behind the name of their folder
 _HOME = {name: module for module, names in _MODULES.items() for name in names}
 
 __all__ = [
@@ -228,6 +230,7 @@ __all__ = [
     "findings",
     "geodetic_kind",
     "image_rays",
+    "imagery",
     "influence",
     "inner_orientation",
     "interior_priors",
@@ -268,6 +271,8 @@ def __dir__() -> list[str]:
 
 
 def __getattr__(name: str) -> Any:
+    if name in _ROOMS:
+        return importlib.import_module(f"jaxbundle.{name}")
     if name not in _HOME:
         raise AttributeError(f"module 'jaxbundle' has no attribute {name!r}")
     return getattr(importlib.import_module(f"jaxbundle.{_HOME[name]}"), name)

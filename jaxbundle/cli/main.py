@@ -216,6 +216,17 @@ def demo(
 
 
 @app.command()
+def pyramid(
+    paths: Annotated[list[Path], typer.Argument(metavar="IMAGES", help="JPEG, PNG or TIFF.", show_default=False)],
+    out: Annotated[Path, typer.Option("--out", "-o", help="Folder of the pyramids.")] = Path("pyramids"),
+    zlib: Annotated[bool, typer.Option("--zlib", help="Compress the tiles: smaller files, slower windows.")] = False,
+) -> None:
+    """Make image pyramids: tiled TIFF with one sub-image for each level, found again by the next command."""
+    measuring = importlib.import_module("jaxbundle.cli.pyramids")
+    raise typer.Exit(measuring.run(paths, out, "zlib" if zlib else None))
+
+
+@app.command()
 def convert(
     path: Block,
     out: Annotated[Path, typer.Argument(help="A block folder, or a BAL file with suffix .txt.", show_default=False)],
