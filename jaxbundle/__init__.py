@@ -15,7 +15,7 @@ import importlib
 from typing import TYPE_CHECKING, Any
 
 if TYPE_CHECKING:
-    from jaxbundle import imagery
+    from jaxbundle import imagery, measuring
     from jaxbundle.approximate.absolute_orientation import AbsoluteOrientation, absolute_orientation
     from jaxbundle.approximate.intersection import intersect
     from jaxbundle.approximate.relative_orientation import RelativeOrientation, relative_orientation
@@ -157,7 +157,7 @@ _MODULES = {
     ),
     "textbook": ("crosscheck",),
 }
-_ROOMS = ("imagery",)  # names that stand behind the name of their folder
+_ROOMS = ("imagery", "measuring")  # names that stand behind the name of their folder
 _HOME = {name: module for module, names in _MODULES.items() for name in names}
 
 __all__ = [
@@ -235,6 +235,7 @@ __all__ = [
     "inner_orientation",
     "interior_priors",
     "intersect",
+    "measuring",
     "observation_group",
     "observations_of_kind",
     "parallax_rule",

@@ -21,16 +21,13 @@ from jaxbundle.camera.collinearity import photo_vector
 from jaxbundle.camera.model import CameraModel
 from jaxbundle.camera.projection import projection
 from jaxbundle.imagery.match_types import DEFAULT, MatchOptions, Refusal
+from jaxbundle.imagery.ray_sigmas import ray_sigmas
 from jaxbundle.imagery.window_pairs import HALF, MAX_SHIFT, PairMatches, PairTable, match_pairs
 from jaxbundle.imagery.windows import GreyImages, GreyLevels
 from jaxbundle.numerics.compilation import Compiled
 from jaxbundle.numerics.host import on_device
 from jaxbundle.numerics.shapes import grid_size
 
-# Residuals of a bundle over the sigmas of matching: 0.155 px over 0.053 px on 7966 rays of natural texture, since
-# compression and aliasing correlate the grey values of neighbours, and surfaces are no planes.
-ATTAINED = 3.0
-MIN_SIGMA = 0.02  # px: the best that targets attain; grey values without noise would claim more
 TEMPLATE = -1  # status of a ray whose image gives the template
 
 
@@ -215,13 +212,11 @@ def _refined(
     xy, sigmas = np.array(block.rays.coordinates), np.array(block.rays.sigmas)
     good = found.matched
     xy[ray[good]] = found.position[good]
-    own = np.maximum(ATTAINED * np.sqrt(found.covariance[:, (0, 1), (0, 1)]), MIN_SIGMA)
+    points = len(structure.point_names)
+    own, of_templates = ray_sigmas(found.covariance, good, structure.ray_point[ray], points)
     sigmas[ray[good]] = own[good]
-    squares = np.stack([np.bincount(structure.ray_point[ray[good]], own[good, k] ** 2) for k in range(2)], 1)
-    numbers = np.bincount(structure.ray_point[ray[good]])
     templates = np.unique(template_ray[good])
-    point = structure.ray_point[templates]
-    sigmas[templates] = np.sqrt(squares[point] / numbers[point, None])
+    sigmas[templates] = of_templates[structure.ray_point[templates]]
     status = np.full(len(xy), int(Refusal.NO_WINDOW))
     status[ray] = found.status
     status[np.unique(template_ray)] = TEMPLATE

@@ -25,6 +25,7 @@ LAYERS = {
     "diagnosis": 8,
     "io": 9,
     "report": 10,
+    "measuring": 10,
     "cli": 11,
 }
 LONGEST = 400  # lines
