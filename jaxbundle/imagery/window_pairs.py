@@ -54,8 +54,8 @@ def levels_of(
     affine: Float[np.ndarray, "pair 2 2"], level: int
 ) -> tuple[Int[np.ndarray, " pair"], Int[np.ndarray, " pair"]]:
     """Levels of the template and of the other image at which both show the same details."""
-    scale = np.sqrt(np.abs(np.linalg.det(affine)))
-    with np.errstate(divide="ignore"):
+    with np.errstate(divide="ignore", invalid="ignore"):
+        scale = np.sqrt(np.abs(np.linalg.det(affine)))
         finer = np.clip(np.nan_to_num(np.round(np.log2(scale))), -3, 3).astype(int)
     apart = (scale > OTHER_LEVEL) | (scale < 1 / OTHER_LEVEL)
     finer = np.where(apart, finer, 0)
