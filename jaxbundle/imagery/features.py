@@ -5,6 +5,7 @@ by a quarter of a pixel. Of keypoints at one place, which differ in orientation,
 belongs to one track.
 """
 
+import zipfile
 from typing import NamedTuple
 
 import numpy as np
@@ -13,7 +14,9 @@ from jaxtyping import Float
 from jaxbundle.imagery.extra import required
 from jaxbundle.imagery.levels import between_levels
 from jaxbundle.imagery.pyramid_file import Pyramid
+from jaxbundle.numerics.whole_files import write_whole
 
+VERSION = 1  # of what is kept
 PLACES = 8  # by 8 places of an image: finer than the 3 x 3 of von Gruber, so that distortion is determined too
 NUMBER = 2048
 CONTRAST = 0.01  # of SIFT; a quarter of its default, since weak texture is chosen per place
@@ -57,6 +60,23 @@ def features(image: Pyramid, level: int = 1, number: int = NUMBER) -> Features:
     descriptors = np.asarray(descriptors, float).reshape(-1, 128)
     rooted = np.sqrt(descriptors / np.maximum(descriptors.sum(1, keepdims=True), 1e-12))
     return Features(between_levels(xy, level, 0), rooted.astype(np.float32))
+
+
+def kept_features(image: Pyramid, level: int = 1, number: int = NUMBER) -> Features:
+    """As `features`; they are kept beside the pyramid, so that an interrupted measurement goes on from them."""
+    status = image.path.stat()
+    key = f"{VERSION} {status.st_size} {status.st_mtime_ns} {level} {number}"
+    file = image.path.with_suffix(".features.npz")
+    try:
+        with np.load(file) as kept:
+            if str(kept["key"]) == key:
+                return Features(kept["xy"], kept["descriptors"])
+    except (OSError, ValueError, KeyError, zipfile.BadZipFile):
+        pass  # there are none, or not whole ones
+    found = features(image, level, number)
+    arrays = {"key": np.array(key), "xy": found.xy, "descriptors": found.descriptors}
+    write_whole(file, lambda opened: np.savez(opened, **arrays))
+    return found
 
 
 def spread(

@@ -13,7 +13,7 @@ from jaxbundle.block.findings import Finding, Kind, Subject
 from jaxbundle.block.problems import Problem
 from jaxbundle.geometry.topocentric import topocentric
 from jaxbundle.imagery.exif import Station
-from jaxbundle.imagery.features import NUMBER, empty_places, features
+from jaxbundle.imagery.features import NUMBER, empty_places, kept_features
 from jaxbundle.imagery.image_problems import ImageError
 from jaxbundle.imagery.tracks import tracks
 from jaxbundle.imagery.windows import GreyImages
@@ -80,7 +80,7 @@ def measure(
     views = []
     for photo in photos.photos:
         tell(f"interest points of {photo.name}")
-        own = features(photo.pyramid, options.level, options.number)
+        own = kept_features(photo.pyramid, options.level, options.number)
         rows, columns = photo.pyramid.sizes[0]
         interior = np.array([photos.principal_distances[photo.camera], columns / 2, rows / 2, 1.0, -1.0])
         station = stations[len(views)]

@@ -7,7 +7,7 @@ from PIL import Image
 import jaxbundle as jb
 from jaxbundle.imagery.candidates import candidates
 from jaxbundle.imagery.exif import exif_of
-from jaxbundle.imagery.features import empty_places, features, spread
+from jaxbundle.imagery.features import empty_places, features, kept_features, spread
 from jaxbundle.imagery.tracks import local_affine, tracks
 from jaxbundle.imagery.window_pairs import levels_of
 
@@ -81,6 +81,11 @@ def test_points_of_an_image_turned_by_half_a_turn_are_the_same(shared_data, tmp_
     assert len(pairs) > 200
     difference = one.xy[pairs[:, 0]] - ([640.0, 480.0] - other.xy[pairs[:, 1]])
     assert np.abs(np.median(difference, 0)).max() < 0.01
+    made = jb.imagery.pyramid(tmp_path / "a.png")
+    first, again = kept_features(made, 0, 400), kept_features(made, 0, 400)
+    np.testing.assert_array_equal(first.xy, one.xy)
+    np.testing.assert_array_equal(again.descriptors, first.descriptors)
+    assert len(kept_features(made, 0, 100).xy) == 100
 
 
 def test_exif_of_a_photograph(tmp_path):
