@@ -127,8 +127,8 @@ def _places(p: Array, pair: Pair) -> tuple[Array, Array]:
     return p[0] + p[1] * x + p[2] * y, p[3] + p[4] * x + p[5] * y
 
 
-def _normals(p: Array, pair: Pair, surface: Array, bilinear: bool) -> tuple[Array, Array, Array]:
-    """N = A^T A, A^T v and v^T v: one pass along each coordinate gives all rows."""
+def normal_equations(p: Array, pair: Pair, surface: Array, bilinear: bool) -> tuple[Array, Array, Array]:
+    """N = A^T A, A^T v and v^T v; rows from the derivatives of the interpolant along both coordinates."""
     (x, y), one = _places(p, pair), jnp.ones(pair.template.size)
     interpolant = spline.bilinear if bilinear else spline.value
     g, gx = jax.jvp(lambda x: interpolant(surface, x, y), (x,), (one,))
@@ -161,7 +161,7 @@ def _solution(options: MatchOptions, pair: Pair, surface: Array, free: Array) ->
     limit = _limit(options, pair)
 
     def step(state: _State) -> _State:
-        normals, right, _ = _normals(state.p, pair, surface, bilinear)
+        normals, right, _ = normal_equations(state.p, pair, surface, bilinear)
         factor, scale, determined = _factor(normals, free)
         d = -scale * cho_solve((factor, True), scale * jnp.where(free, right, 0.0))
         shift = jnp.maximum(jnp.abs(d[0]), jnp.abs(d[3]))
@@ -178,7 +178,7 @@ def _solution(options: MatchOptions, pair: Pair, surface: Array, free: Array) ->
 
     state = _State(_first(pair, surface, bilinear), jnp.asarray(jnp.inf), jnp.asarray(0), jnp.asarray(True))
     state = lax.while_loop(goes_on, step, state)
-    normals, _, total = _normals(state.p, pair, surface, bilinear)
+    normals, _, total = normal_equations(state.p, pair, surface, bilinear)
     factor, scale, determined = _factor(normals, free)
     variance = total / (pair.template.size - jnp.sum(free))
     cofactors = scale[:, None] * cho_solve((factor, True), jnp.eye(UNKNOWNS)) * scale
