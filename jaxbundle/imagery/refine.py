@@ -15,6 +15,7 @@ import numpy as np
 from jaxtyping import Array, Bool, Float, Int
 
 from jaxbundle.block.block import Block
+from jaxbundle.block.given import require_a
 from jaxbundle.block.problems import BlockError, Problem
 from jaxbundle.block.unknowns import unknowns_of
 from jaxbundle.camera.collinearity import photo_vector
@@ -83,6 +84,7 @@ def refine(
         >>> images = {name: jb.imagery.pyramid(f"photos/{name}") for name in block.images}  # doctest: +SKIP
         >>> jb.adjust(jb.imagery.refine(block, images).block).sigma0  # doctest: +SKIP
     """
+    require_a(Block, block, "imagery.refine")
     _require_images(block, images)
     numbered = {k: images[name] for k, name in enumerate(block.structure.image_names) if name in images}
     greys = GreyImages(numbered)

@@ -35,9 +35,13 @@ def with_coordinates(rays, xy, rows):
     }
 
 
-def test_some_rays_of_three_images(shared_data):
-    rays = every(sceaux_rays(shared_data / "colmap"), 40)
-    block = sceaux_block(shared_data / "colmap", rays)
+@pytest.fixture(scope="module")
+def block(shared_data):
+    """The rays of every fortieth point."""
+    return sceaux_block(shared_data / "colmap", every(sceaux_rays(shared_data / "colmap"), 40))
+
+
+def test_some_rays_of_three_images(block, shared_data):
     names = block.structure.image_names[4:7]
     images = {name: in_memory(grey_image(shared_data / "images" / "sceaux" / name)) for name in names}
     found = refine(block, images, options=MatchOptions(max_shift=MAX_SHIFT))
@@ -54,9 +58,7 @@ def test_some_rays_of_three_images(shared_data):
     assert not found.measured[others].any()
 
 
-def test_images_of_another_size_are_refused(shared_data):
-    rays = every(sceaux_rays(shared_data / "colmap"), 400)
-    block = sceaux_block(shared_data / "colmap", rays)
+def test_images_of_another_size_are_refused(block):
     name = block.structure.image_names[0]
     with pytest.raises(jb.BlockError, match=f"image {name} has 20 x 10 px, camera c 2832 x 2128"):
         refine(block, {name: in_memory(np.zeros((10, 20)))})
