@@ -74,8 +74,7 @@ def kept_features(image: Pyramid, level: int = 1, number: int = NUMBER) -> Featu
     except (OSError, ValueError, KeyError, zipfile.BadZipFile):
         pass  # there are none, or not whole ones
     found = features(image, level, number)
-    arrays = {"key": np.array(key), "xy": found.xy, "descriptors": found.descriptors}
-    write_whole(file, lambda opened: np.savez(opened, **arrays))
+    write_whole(file, lambda opened: np.savez(opened, key=key, xy=found.xy, descriptors=found.descriptors))
     return found
 
 

@@ -34,7 +34,7 @@ def prefilter(size: int) -> Float[np.ndarray, "size size"]:
 def coefficients(window: Float[Array, "row column"]) -> Float[Array, "row column"]:
     """Spline coefficients of the grey values of a window."""
     rows, columns = window.shape
-    return prefilter(rows) @ window @ prefilter(columns).T
+    return jnp.asarray(prefilter(rows)) @ window @ jnp.asarray(prefilter(columns)).T
 
 
 def _weights(t: Array) -> tuple[Array, Array, Array, Array]:

@@ -81,7 +81,8 @@ def match_pairs(
         for k in range(0, len(pairs.image), AT_ONCE)
     ]
     if not parts:
-        return PairMatches(np.zeros((0, 2)), *np.zeros((2, 0, 2, 2)), np.zeros(0), np.zeros(0, int))
+        nothing = np.zeros((0, 2, 2))
+        return PairMatches(np.zeros((0, 2)), nothing, nothing, np.zeros(0), np.zeros(0, int))
     return PairMatches(*(np.concatenate(x) for x in zip(*parts, strict=True)))
 
 

@@ -36,7 +36,7 @@ def vertical_start(folder: Path) -> dict[str, pl.DataFrame]:
     order = [tables["stations"]["image"].to_list().index(name) for name in names]
     station = tables["stations"].select("X", "Y", "Z").to_numpy()[order]
     n, m = len(names), int(points.max()) + 1
-    good = np.ones(len(image), bool)
+    good, off, found = np.ones(len(image), bool), np.zeros(len(image)), np.zeros(2 * n + 2 * m)
     for _ in range(ROBUST):
         k, i, p = np.arange(good.sum()), image[good], points[good]
         one = np.ones(len(k))
@@ -46,11 +46,11 @@ def vertical_start(folder: Path) -> dict[str, pl.DataFrame]:
         a = coo_array((values, (rows, columns)), (2 * len(k), 2 * n + 2 * m)).tocsr()
         found = lsqr(a, -np.concatenate([station[i, 0], station[i, 1]]), atol=1e-10, btol=1e-10, iter_lim=4000)[0]
         u, v = found[:n], found[n : 2 * n]
-        ground = found[2 * n :].reshape(2, m)
-        dx = station[image, 0] + u[image] * x - v[image] * y - ground[0, points]
-        dy = station[image, 1] + v[image] * x + u[image] * y - ground[1, points]
+        dx = station[image, 0] + u[image] * x - v[image] * y - found[2 * n + points]
+        dy = station[image, 1] + v[image] * x + u[image] * y - found[2 * n + m + points]
         off = np.hypot(dx, dy)
         good = off < 3 * np.median(off)
+    u, v, ground = found[:n], found[n : 2 * n], found[2 * n :].reshape(2, m)
     kappa, height = np.degrees(np.arctan2(v, u)), c * np.hypot(u, v)
     print(
         "kappa", np.round(kappa, 1), "height", np.round(height, 1), "median off", round(float(np.median(off)), 2), "m"

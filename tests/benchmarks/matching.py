@@ -61,15 +61,16 @@ def main() -> None:
     one, other = (np.clip(np.round(g), 0, 255).astype(np.uint8) for g in (first, second))
     points = np.stack([columns, rows], 1).astype(np.float32)
     began = time.perf_counter()
-    moved, status, _ = cv2.calcOpticalFlowPyrLK(one, other, points, None, winSize=(21, 21), maxLevel=3)
+    moved, status, _ = cv2.calcOpticalFlowPyrLK(one, other, points, points.copy(), winSize=(21, 21), maxLevel=3)
     shift = (moved - points)[status.ravel() == 1]
     told("OpenCV Lucas-Kanade", time.perf_counter() - began, shift[:, 0] - true, shift[:, 1])
     criteria, found_by_ecc = (cv2.TERM_CRITERIA_EPS | cv2.TERM_CRITERIA_COUNT, 50, 1e-5), []
+    whole = np.full(searched.shape[1:], 255, np.uint8)
     began = time.perf_counter()
     for f, g in zip(templates.astype(np.float32), searched.astype(np.float32), strict=True):
         warp = np.array([[1, 0, MARGIN], [0, 1, MARGIN]], np.float32)
         try:
-            cv2.findTransformECC(f, g, warp, cv2.MOTION_AFFINE, criteria, None, 1)
+            cv2.findTransformECC(f, g, warp, cv2.MOTION_AFFINE, criteria, whole, 1)
         except cv2.error:
             continue
         found_by_ecc.append(warp @ [HALF, HALF, 1] - (HALF + MARGIN))

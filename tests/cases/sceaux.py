@@ -57,5 +57,11 @@ def sceaux_block(folder: Path, rays: dict[str, list]) -> jb.Block:
         "estimate": ["principal_distance", "x0", "y0", "K1", "K2"],
     }
     return jb.Block.from_tables(
-        cameras={"c": camera}, images=images, rays=rays, points=points, sigma=1.0, datum={"type": "minimal"}
+        cameras={"c": camera},
+        images=images,
+        rays=rays,
+        points=points,
+        sigma=1.0,
+        datum={"type": "minimal"},
+        check_start=False,
     )

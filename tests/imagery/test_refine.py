@@ -17,6 +17,7 @@ from jaxbundle.imagery.ray_sigmas import MIN_SIGMA
 from jaxbundle.imagery.refine import TEMPLATE, refine
 from jaxbundle.imagery.window_pairs import MAX_SHIFT, PairTable, match_pairs
 from jaxbundle.imagery.windows import GreyImages
+from jaxbundle.measuring.rays import COARSE, FINE
 
 
 def every(rays, step):
@@ -96,10 +97,10 @@ def test_four_levels_pull_in_four_pixels(shared_data):
         count = len(rows)
         images = GreyImages({0: in_memory(first, 4), 1: in_memory(second, 4)})
         table = PairTable(np.zeros(count, int), np.ones(count, int), xy, xy + off, np.tile(np.eye(2), (count, 1, 1)))
-        for level, options in ((3, "shift"), (2, "shift"), (1, "shift"), (0, "tested")):
-            matches = match_pairs(images, table, level, MatchOptions(parameters=options, min_correlation=0.6))
+        for level in (3, 2, 1, 0):
+            matches = match_pairs(images, table, level, COARSE if level else FINE)
             table = table._replace(predicted=matches.position)
-        found.append(np.abs(matches.position - (xy - [0.5, 0])).max(1) < 0.2)
+        found.append(np.abs(table.predicted - (xy - [0.5, 0])).max(1) < 0.2)
     assert np.mean(found) > 0.85
 
 
