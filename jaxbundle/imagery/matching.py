@@ -46,6 +46,23 @@ class Pair(NamedTuple):
     start: Float[Array, "6"]
 
 
+class Limits(NamedTuple):
+    """The limits of the options as arrays: one program serves all."""
+
+    max_iterations: Array
+    settled: Array
+    min_correlation: Array
+    max_sigma: Array
+    max_shift: Array
+
+
+class Form(NamedTuple):
+    """What a program depends on."""
+
+    parameters: str
+    bilinear: bool
+
+
 class _State(NamedTuple):
     p: Array
     step: Array
@@ -91,9 +108,13 @@ def match(
         )
     if min(pairs.template.shape[1:]) ** 2 <= UNKNOWNS:
         raise ValueError(f"templates of {pairs.template.shape[1:]} px; a template needs at least 3 x 3 px")
+    largest = min(pairs.template.shape[1:]) / 4 if options.max_shift is None else options.max_shift
+    chosen = options.max_iterations, options.settled, options.min_correlation, options.max_sigma, largest
+    limits, form = Limits(*map(on_device, chosen)), Form(options.parameters, options.interpolation == "bilinear")
     if not is_concrete(pairs):
-        return jax.vmap(lambda pair: _differentiable(options, pair))(pairs)
-    parts = [_matched(options, _padded(pairs, first), optimised=True) for first in range(0, max(count, 1), TOGETHER)]
+        return jax.vmap(lambda pair: _differentiable(form, limits, pair))(pairs)
+    firsts = range(0, max(count, 1), TOGETHER)
+    parts = [_matched(form, limits, _padded(pairs, first), optimised=True) for first in firsts]
     return jax.tree.map(lambda *x: on_device(np.concatenate(x)[:count]), *parts)
 
 
@@ -108,8 +129,8 @@ def _padded(pairs: Pair, first: int) -> Pair:
 
 
 @Compiled
-def _matched(options: MatchOptions, pairs: Pair) -> Matches:
-    return jax.vmap(lambda pair: _chosen(options, pair)[1])(pairs)
+def _matched(form: Form, limits: Limits, pairs: Pair) -> Matches:
+    return jax.vmap(lambda pair: _chosen(form, limits, pair)[1])(pairs)
 
 
 def residuals(p: Float[Array, "8"], pair: Pair, surface: Array, bilinear: bool) -> Float[Array, " pixel"]:
@@ -155,10 +176,8 @@ def _factor(normals: Array, free: Array) -> tuple[Array, Array, Array]:
     return factor, scale, determined
 
 
-def _solution(options: MatchOptions, pair: Pair, surface: Array, free: Array) -> tuple[_State, Array, Array]:
+def _solution(bilinear: bool, limits: Limits, pair: Pair, surface: Array, free: Array) -> tuple[_State, Array, Array]:
     """The end of the iteration, the covariance of all parameters and s0."""
-    bilinear = options.interpolation == "bilinear"
-    limit = _limit(options, pair)
 
     def step(state: _State) -> _State:
         normals, right, _ = normal_equations(state.p, pair, surface, bilinear)
@@ -173,8 +192,8 @@ def _solution(options: MatchOptions, pair: Pair, surface: Array, free: Array) ->
 
     def goes_on(state: _State) -> Array:
         away = jnp.maximum(jnp.abs(state.p[0] - pair.start[0]), jnp.abs(state.p[3] - pair.start[3]))
-        going = state.valid & (state.step > options.settled) & (state.iterations < options.max_iterations)
-        return going & (away <= 2 * limit)
+        going = state.valid & (state.step > limits.settled) & (state.iterations < limits.max_iterations)
+        return going & (away <= 2 * limits.max_shift)
 
     state = _State(_first(pair, surface, bilinear), jnp.asarray(jnp.inf), jnp.asarray(0), jnp.asarray(True))
     state = lax.while_loop(goes_on, step, state)
@@ -186,10 +205,6 @@ def _solution(options: MatchOptions, pair: Pair, surface: Array, free: Array) ->
     return state._replace(valid=state.valid & determined), variance * cofactors, jnp.sqrt(variance)
 
 
-def _limit(options: MatchOptions, pair: Pair) -> float:
-    return min(pair.template.shape) / 4 if options.max_shift is None else options.max_shift
-
-
 def _first(pair: Pair, surface: Array, bilinear: bool) -> Array:
     """The start with radiometry by moments: equal means and standard deviations."""
     x, y = _places(jnp.concatenate([pair.start, jnp.array([0.0, 1.0])]), pair)
@@ -199,14 +214,16 @@ def _first(pair: Pair, surface: Array, bilinear: bool) -> Array:
     return jnp.concatenate([pair.start, jnp.stack([jnp.mean(pair.template) - r1 * jnp.mean(g), r1])])
 
 
-def _chosen(options: MatchOptions, pair: Pair) -> tuple[Array, Matches]:
-    """The parameters and the match of the form that the options, or the test of the affine parameters, choose."""
-    surface = pair.searched if options.interpolation == "bilinear" else spline.coefficients(pair.searched)
-    modes = {"shift": [False], "affine": [True], "tested": [False, True]}[options.parameters]
+def _chosen(form: Form, limits: Limits, pair: Pair) -> tuple[Array, Matches]:
+    """Which parameters are free, as wanted or by the test of the affine ones, and the match with them."""
+    surface = pair.searched if form.bilinear else spline.coefficients(pair.searched)
+    modes = {"shift": [False], "affine": [True], "tested": [False, True]}[form.parameters]
     shift_only = np.array([True, False, False, True, False, False, True, True])
     free = jnp.asarray(np.stack([np.ones(UNKNOWNS, bool) if affine else shift_only for affine in modes]))
-    states, covariances, s0 = jax.vmap(lambda f: _solution(options, pair, surface, f))(free)
-    found = jax.vmap(lambda s, c, s0: _result(options, pair, surface, (s, c, s0)))(states, covariances, s0)
+    states, covariances, s0 = jax.vmap(lambda f: _solution(form.bilinear, limits, pair, surface, f))(free)
+    found = jax.vmap(lambda s, c, s0: _result(form.bilinear, limits, pair, surface, (s, c, s0)))(
+        states, covariances, s0
+    )
     k = jnp.asarray(0)
     if len(modes) == 2:
         variance = jnp.diagonal(covariances[1])[jnp.array([1, 2, 4, 5])]
@@ -217,9 +234,9 @@ def _chosen(options: MatchOptions, pair: Pair) -> tuple[Array, Matches]:
     return free[k], jax.tree.map(lambda x: x[k], found)
 
 
-def _result(options: MatchOptions, pair: Pair, surface: Array, solved: tuple[_State, Array, Array]) -> Matches:
+def _result(bilinear: bool, limits: Limits, pair: Pair, surface: Array, solved: tuple[_State, Array, Array]) -> Matches:
     state, covariance, s0 = solved
-    p, bilinear = state.p, options.interpolation == "bilinear"
+    p = state.p
     x, y = _places(p, pair)
     f = pair.template.ravel()
     g = (residuals(p, pair, surface, bilinear) + f - p[6]) / jnp.where(p[7] == 0, 1.0, p[7])
@@ -235,11 +252,11 @@ def _result(options: MatchOptions, pair: Pair, surface: Array, solved: tuple[_St
         s0,
         correlation,
         state.iterations,
-        _status(options, pair, state, (x, y, correlation, covariance)),
+        _status(limits, pair, state, (x, y, correlation, covariance)),
     )
 
 
-def _status(options: MatchOptions, pair: Pair, state: _State, judged: tuple[Array, ...]) -> Array:
+def _status(limits: Limits, pair: Pair, state: _State, judged: tuple[Array, ...]) -> Array:
     """The first reason that applies."""
     x, y, correlation, covariance = judged
     p, (rows, columns) = state.p, pair.searched.shape
@@ -250,12 +267,12 @@ def _status(options: MatchOptions, pair: Pair, state: _State, judged: tuple[Arra
     variance = jnp.maximum(covariance[0, 0], covariance[1, 1])
     reasons = [
         (~state.valid, Refusal.NO_TEXTURE),
-        (~(away <= _limit(options, pair)), Refusal.MOVED_FAR),
-        (~(state.step <= options.settled), Refusal.NOT_CONVERGED),
+        (~(away <= limits.max_shift), Refusal.MOVED_FAR),
+        (~(state.step <= limits.settled), Refusal.NOT_CONVERGED),
         (~inside, Refusal.OUTSIDE),
         (~((scale >= SCALE[0]) & (scale <= SCALE[1])), Refusal.SCALE),
-        (~(correlation >= options.min_correlation), Refusal.LOW_CORRELATION),
-        (~(variance <= options.max_sigma**2), Refusal.IMPRECISE),
+        (~(correlation >= limits.min_correlation), Refusal.LOW_CORRELATION),
+        (~(variance <= limits.max_sigma**2), Refusal.IMPRECISE),
     ]
     status = jnp.asarray(int(Refusal.MATCHED))
     for refused, reason in reversed(reasons):
@@ -263,10 +280,10 @@ def _status(options: MatchOptions, pair: Pair, state: _State, judged: tuple[Arra
     return status
 
 
-def _differentiable(options: MatchOptions, pair: Pair) -> Matches:
+def _differentiable(form: Form, limits: Limits, pair: Pair) -> Matches:
     """The match, its position and parameters with the derivatives of the minimum."""
-    free, found = jax.tree.map(lax.stop_gradient, _chosen(options, jax.tree.map(lax.stop_gradient, pair)))
-    bilinear = options.interpolation == "bilinear"
+    free, found = jax.tree.map(lax.stop_gradient, _chosen(form, limits, jax.tree.map(lax.stop_gradient, pair)))
+    bilinear = form.bilinear
 
     def half_squares(p: Array, pair: Pair) -> Array:
         surface = pair.searched if bilinear else spline.coefficients(pair.searched)

@@ -12,7 +12,7 @@ from jaxbundle.imagery.tracks import Tracks, local_affine
 from jaxbundle.imagery.window_pairs import PairTable, match_pairs
 from jaxbundle.imagery.windows import GreyImages
 
-COARSE = MatchOptions(parameters="shift", min_correlation=0.6)  # of a level that a finer one follows
+COARSE = MatchOptions(min_correlation=0.6)  # of a level that a finer one follows
 FINE = MatchOptions()
 
 
