@@ -16,7 +16,6 @@ from typing import Any, NamedTuple
 
 import jax
 import jax.numpy as jnp
-import numpy as np
 from jax import lax
 from jaxtyping import Array, Bool, Float, Int
 
@@ -38,13 +37,13 @@ PLANE = 3  # unknowns
 class OrientedWindow(NamedTuple):
     """Windows of oriented images: fields with a leading axis for several images."""
 
-    grey: Float[Array | np.ndarray, "*image row column"]
-    corner: Float[Array | np.ndarray, "*image 2"]
+    grey: Float[Array, "*image row column"]
+    corner: Float[Array, "*image 2"]
     """x, y of the window's corner in the image, px."""
-    interior: Float[Array | np.ndarray, "*image element"]
-    rotation: Float[Array | np.ndarray, "*image 9"]
+    interior: Float[Array, "*image element"]
+    rotation: Float[Array, "*image 9"]
     """object_from_image, rows a, b, c."""
-    centre: Float[Array | np.ndarray, "*image 3"]
+    centre: Float[Array, "*image 3"]
 
 
 class TiedMatch(NamedTuple):

@@ -113,7 +113,7 @@ def main() -> None:
         )
         began = time.perf_counter()
         result = jb.adjust(block, robust=jb.Huber())
-        v = np.asarray(result.residuals)
+        v = np.asarray(result.residuals[0])
         print(
             f"weights {weights}: {block}\n  {time.perf_counter() - began:.0f} s, {result.status},"
             f" sigma0 {float(result.sigma0):.3f}, rms {np.sqrt(np.mean(v**2)):.3f} px,"

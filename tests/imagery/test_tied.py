@@ -1,5 +1,6 @@
 """Matching of all images of a point, tied by the image equation, on a textured plane of known height and slope."""
 
+import jax.numpy as jnp
 import numpy as np
 import pytest
 from cases.textures import Waves
@@ -54,8 +55,8 @@ def scene():
         half = REACH if k else HALF
         grey, corner = window(waves, rotation, centre, image_point(rotation, centre, POINT) + (k > 0) * 0.4, half)
         grey = 0.8 * grey + 5 * k + NOISE * rng.standard_normal(grey.shape)
-        windows.append(OrientedWindow(grey, corner, INTERIOR, rotation.ravel(), centre))
-    searched = OrientedWindow(*(np.stack(x) for x in zip(*windows[1:], strict=True)))
+        windows.append(OrientedWindow(*map(jnp.asarray, (grey, corner, INTERIOR, rotation.ravel(), centre))))
+    searched = OrientedWindow(*(jnp.stack(x) for x in zip(*windows[1:], strict=True)))
     return windows[0], searched, image_point(matrices()[0], CENTRES[0], POINT)
 
 
@@ -77,6 +78,6 @@ def test_point_and_normal_of_a_plane(scene):
 
 def test_images_of_something_else_are_refused(scene):
     template, searched, point = scene
-    other = searched._replace(grey=np.random.default_rng(1).uniform(0, 255, searched.grey.shape))
+    other = searched._replace(grey=jnp.asarray(np.random.default_rng(1).uniform(0, 255, searched.grey.shape)))
     found = match_tied(MODEL, template, other, point, 48.0)
     assert int(found.status) not in (Refusal.MATCHED,)
