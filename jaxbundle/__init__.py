@@ -15,7 +15,7 @@ import importlib
 from typing import TYPE_CHECKING, Any
 
 if TYPE_CHECKING:
-    from jaxbundle import planning
+    from jaxbundle import imagery, measuring, planning
     from jaxbundle.block.block import (
         Block,
         Camera,
@@ -216,10 +216,8 @@ _MODULES = {
     ),
     "textbook": ("crosscheck",),
 }
-_SUBMODULES = {
-    "planning": "planning",
-    "plot": "report.plot",
-}  # namespaces of their own, which may need packages that are not there
+# namespaces of their own, which may need packages that are not there
+_SUBMODULES = {"imagery": "imagery", "measuring": "measuring", "planning": "planning", "plot": "report.plot"}
 _HOME = {name: module for module, names in _MODULES.items() for name in names}
 
 __all__ = [
@@ -307,10 +305,12 @@ __all__ = [
     "findings",
     "geodetic_kind",
     "image_rays",
+    "imagery",
     "influence",
     "inner_orientation",
     "interior_priors",
     "intersect",
+    "measuring",
     "observation_group",
     "observations_of_kind",
     "parallax_rule",

@@ -8,6 +8,8 @@ from enum import IntEnum
 from importlib.metadata import version
 
 from jaxbundle.block.problems import BlockError
+from jaxbundle.imagery.extra import MissingExtraError
+from jaxbundle.imagery.image_problems import ImageError
 
 _NO_MEMORY = "RESOURCE_EXHAUSTED"  # as JAX says it
 _LESS_MEMORY = (
@@ -42,7 +44,7 @@ class LostProcess(RuntimeError):
 
 def told(error: Exception) -> tuple[Code, str]:
     """The exit code of an error, and the sentence that tells of it."""
-    if isinstance(error, BlockError | OSError | BadInput | LostProcess):
+    if isinstance(error, BlockError | ImageError | MissingExtraError | OSError | BadInput | LostProcess):
         return Code.BAD_INPUT, str(error)
     if isinstance(error, MemoryError) or _NO_MEMORY in str(error):
         return Code.UNEXPECTED, _LESS_MEMORY

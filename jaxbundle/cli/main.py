@@ -14,7 +14,7 @@ from typing import Annotated, Literal
 
 import typer
 
-from jaxbundle.cli import codes, planning
+from jaxbundle.cli import codes, photographs, planning
 from jaxbundle.cli.cluster import Cluster, cluster_of
 from jaxbundle.cli.interruption import Interruption
 from jaxbundle.cli.options import (
@@ -54,6 +54,8 @@ app = typer.Typer(
 )
 
 app.add_typer(planning.app, name="plan")
+app.command(rich_help_panel=_WORK)(photographs.measure)
+app.command(rich_help_panel=_WORK)(photographs.pyramid)
 
 
 def main() -> None:

@@ -60,6 +60,29 @@ class ProgressLines:
             self._status.update(_PRECISION)
 
 
+class Phases:
+    """What is being done at this moment, on one line of standard error; nothing where that is not a terminal."""
+
+    def __init__(self) -> None:
+        self._console = Console(stderr=True, highlight=False)
+        self._status: Status | None = None
+
+    def __enter__(self) -> "Phases":
+        if self._console.is_terminal:
+            self._status = self._console.status("", spinner="line")
+            self._status.start()
+        return self
+
+    def __exit__(self, *_: object) -> None:
+        if self._status is not None:
+            self._status.stop()
+
+    def tell(self, what: str) -> None:
+        """Shows what is being done."""
+        if self._status is not None:
+            self._status.update(what)
+
+
 def _known(value: float, form: str) -> str:
     """A number, "-" for what is not one."""
     return "-" if math.isnan(value) else format(value, form)

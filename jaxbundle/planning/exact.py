@@ -1,16 +1,15 @@
 """Image coordinates at which the package's own image equation leaves no residual, for any camera model."""
 
 import equinox as eqx
-import jax
 import jax.numpy as jnp
 import numpy as np
-from jaxtyping import Array, Float, Int
+from jaxtyping import Array, Float
 
 from jaxbundle.block.block import Block
-from jaxbundle.block.residuals import Observations, observations_of, ray_residuals
+from jaxbundle.block.residuals import Observations, observations_of
 from jaxbundle.block.unknowns import Unknowns, unknowns_of
-
-NEWTON_STEPS = 10  # a strong distortion needs about six
+from jaxbundle.camera.collinearity import photo_vector
+from jaxbundle.camera.projection import projection
 
 
 def exact_coordinates(block: Block) -> tuple[Float[np.ndarray, "ray 2"], Float[np.ndarray, "ray 2"]]:
@@ -30,21 +29,10 @@ def traced_coordinates(block: Block) -> Float[Array, "ray 2"]:
 
 @eqx.filter_jit
 def _exact(unknowns: Unknowns, observations: Observations) -> tuple[Float[Array, "2 ray"], Float[Array, "2 ray"]]:
-    elements = observations.model.elements
-    start = jnp.zeros_like(observations.coordinates)
-    if "x0" in elements:
-        camera = observations.image_camera[observations.ray_image]
-        start = jnp.stack([unknowns.interior[elements.index(name), camera] for name in ("x0", "y0")])
-    one, zero = jnp.ones_like(start[0]), jnp.zeros_like(start[0])
-
-    def residual(measured: Array) -> Array:
-        return ray_residuals(unknowns, eqx.tree_at(lambda o: o.coordinates, observations, measured))
-
-    def step(_: Int[Array, ""], measured: Array) -> Array:
-        v, (xx, yx) = jax.jvp(residual, (measured,), (jnp.stack([one, zero]),))
-        _, (xy, yy) = jax.jvp(residual, (measured,), (jnp.stack([zero, one]),))
-        determinant = xx * yy - xy * yx
-        return measured - jnp.stack([yy * v[0] - xy * v[1], xx * v[1] - yx * v[0]]) / determinant
-
-    measured = jax.lax.fori_loop(0, NEWTON_STEPS, step, start)
-    return measured, residual(measured)
+    image, point = observations.ray_image, observations.ray_point
+    interior = tuple(unknowns.interior[:, observations.image_camera[image]])
+    vector = photo_vector(
+        tuple(unknowns.rotation[:, image]), tuple(unknowns.centre[:, image]), tuple(unknowns.points[:, point])
+    )
+    measured = projection(observations.model, interior, vector)
+    return jnp.stack(measured), jnp.stack(observations.model.residual(interior, vector, measured))

@@ -26,6 +26,7 @@ LAYERS = {
     "independent": 8,
     "io": 9,
     "report": 10,
+    "measuring": 10,
     "cli": 11,
 }
 LONGEST = 400  # lines

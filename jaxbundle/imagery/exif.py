@@ -1,0 +1,74 @@
+"""What photographs say of themselves: camera, focal length and position in their EXIF data."""
+
+from pathlib import Path
+from typing import Any, NamedTuple
+
+from jaxbundle.imagery.extra import required
+from jaxbundle.imagery.photographs import of_any_size
+
+FULL_FRAME = 36.0  # mm: width of the film that the 35 mm equivalent of a focal length refers to
+MAKE, MODEL, EXIF, GPS = 271, 272, 0x8769, 0x8825  # tags and directories (CIPA DC-008)
+TIME, FOCAL, FOCAL_35 = 36867, 37386, 41989
+SOUTH, LATITUDE, WEST, LONGITUDE, BELOW, ALTITUDE = 1, 2, 3, 4, 5, 6
+
+
+class Station(NamedTuple):
+    """A position on the ellipsoid of WGS 84."""
+
+    latitude: float
+    """deg, north positive."""
+    longitude: float
+    """deg, east positive."""
+    altitude: float
+    """m, as the receiver gives it."""
+
+
+class ExifData(NamedTuple):
+    """Empty text and None stand for what is not given."""
+
+    camera: str = ""
+    """Maker and model."""
+    focal: float | None = None
+    """mm."""
+    focal_35: float | None = None
+    """mm, of the 35 mm equivalent."""
+    station: Station | None = None
+    time: str = ""
+
+
+def exif_of(path: Path) -> ExifData:
+    """EXIF data of a JPEG, PNG or TIFF file; empty where it has none."""
+    module = required("PIL.Image")
+    try:
+        with of_any_size(module), module.open(path) as image:
+            tags = image.getexif()
+            details, gps = tags.get_ifd(EXIF), tags.get_ifd(GPS)
+    except (OSError, ValueError, SyntaxError):
+        return ExifData()
+    make, model = (str(tags.get(tag, "")).strip(" \0") for tag in (MAKE, MODEL))
+    camera = model if model.startswith(make) else f"{make} {model}".strip()
+    time = str(details.get(TIME, "")).strip(" \0")
+    return ExifData(camera, _positive(details.get(FOCAL)), _positive(details.get(FOCAL_35)), _station(gps), time)
+
+
+def _positive(value: Any) -> float | None:
+    try:
+        number = float(value)
+    except (TypeError, ValueError, ZeroDivisionError):
+        return None
+    return number if 0 < number < 1e5 else None
+
+
+def _station(gps: dict) -> Station | None:
+    try:
+        latitude, longitude = (sum(float(x) / 60**k for k, x in enumerate(gps[t])) for t in (LATITUDE, LONGITUDE))
+        altitude = float(gps.get(ALTITUDE, 0.0))
+    except (KeyError, TypeError, ValueError, ZeroDivisionError):
+        return None
+    below = gps.get(BELOW, 0) in (1, b"\x01")
+    south, west = (str(gps.get(t, "")).startswith(side) for t, side in ((SOUTH, "S"), (WEST, "W")))
+    station = Station(
+        -latitude if south else latitude, -longitude if west else longitude, -altitude if below else altitude
+    )
+    empty = station.latitude == station.longitude == 0  # a receiver without a fix
+    return station if not empty and abs(station.latitude) <= 90 and abs(station.longitude) <= 180 else None

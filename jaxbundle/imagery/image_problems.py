@@ -1,0 +1,15 @@
+"""Problems of photographs in the user's names, each with its cure, told all at once."""
+
+from collections.abc import Sequence
+
+from jaxbundle.block.problems import Problem, printable
+
+
+class ImageError(ValueError):
+    """Photographs that cannot be used: all problems at once. The `table` of a problem is the path of the image."""
+
+    def __init__(self, problems: Sequence[Problem]):
+        self.problems = tuple(problems)
+        lines = [printable(str(problem)) for problem in problems]
+        head = "1 problem in the images" if len(lines) == 1 else f"{len(lines)} problems in the images"
+        super().__init__("\n".join([f"{head}:", *(f"  {line}" for line in lines)]))
