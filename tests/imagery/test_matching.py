@@ -84,7 +84,7 @@ def test_no_bias_and_the_predicted_precision(sand):
 
 @pytest.mark.thorough
 def test_shift_of_larger_windows(sand):
-    errors, sigmas, _ = shifted(sand, MatchOptions(parameters="shift"), half=10, number=120)
+    errors, sigmas, _ = shifted(sand, MatchOptions(parameters="shift"), half=10)
     assert np.abs(errors.mean(0)).max() < 0.003
     assert errors.std() < 0.02
     assert np.sqrt(np.mean((errors / sigmas) ** 2)) < 1.4
@@ -96,7 +96,7 @@ def test_bilinear_interpolation_has_a_bias(sand):
     options = MatchOptions(parameters="shift", interpolation="bilinear", max_iterations=60)
     errors, *_ = shifted(sand, options, half=10)
     spline_errors, *_ = shifted(sand, MatchOptions(parameters="shift"), half=10)
-    assert errors.std() > 1.5 * spline_errors.std()
+    assert errors.std() > 1.2 * spline_errors.std()
 
 
 def warped(number, noise, seed, gain=0.9, offset=10.0):
