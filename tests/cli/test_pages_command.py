@@ -81,7 +81,8 @@ def test_version(run, option):
 def test_help_has_panels_the_everyday_options_first(run, monkeypatch):
     monkeypatch.setenv("COLUMNS", "120")
     code, out, _ = run("adjust", "-h")
-    places = [out.index(words) for words in ("--out", "--robust", "─ Solver", "--method", "─ Cluster", "--coordinator")]
+    everyday = "--out", "--robust", "─ Method", "--method", "─ Solver", "--stop", "─ Cluster", "--coordinator"
+    places = [out.index(words) for words in everyday]
     assert code == 0 and places == sorted(places)
 
 
