@@ -9,6 +9,8 @@ A small image of the plane is nearly a parallel projection: the plane reflected 
 the same image (Collins, Bartoli 2014). Least squares start from both.
 """
 
+import dataclasses
+
 import equinox as eqx
 import jax
 import jax.numpy as jnp
@@ -20,6 +22,7 @@ from jaxbundle.camera.model import CameraModel
 from jaxbundle.geometry.rotation import OMEGA_PHI_KAPPA, RotationSystem
 from jaxbundle.numerics.precision import require_float64
 from jaxbundle.orientation.resection import Resection, resection
+from jaxbundle.solve.status import Status
 
 IN_A_PLANE = 0.02  # third over first singular value of the points; beyond, they are no plane
 ON_A_LINE = 1e-3  # second over first
@@ -121,6 +124,8 @@ def planar_resection(
     better, other = (found[k] for k in np.argsort(squares, kind="stable"))
     same = jnp.linalg.norm(better.projection_centre - other.projection_centre) < 1e-6 * extent[0]
     other = jax.tree.map(lambda x: jnp.where(same, jnp.nan, x) if jnp.isdtype(x.dtype, "real floating") else x, other)
+    status = jnp.where(same, int(Status.SINGULAR), other.status)  # there is no second minimum
+    other = dataclasses.replace(other, status=status)
     return PlanarResection(better, other)
 
 
