@@ -12,7 +12,7 @@ from jaxbundle.imagery.pyramid_file import pyramid
 
 
 def run(paths: list[Path], out: Path, compression: str | None) -> int:
-    """Makes and prints; what is wrong with some images is told at the end, all at once.
+    """Makes the pyramids and prints their files; problems of single images are listed together at the end.
 
     Raises: ImageError.
     """

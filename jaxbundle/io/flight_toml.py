@@ -1,4 +1,4 @@
-"""Reading flight.toml: a planned flight, and the specification it shall keep; all that is wrong is told at once."""
+"""Reads flight.toml, a planned flight and its specification; all problems are reported together."""
 
 import math
 import re

@@ -37,7 +37,7 @@ DATA = Path(__file__).parents[3] / "shared" / "data" / "exchange"
 
 
 def fields_changed(data: bytes, rng: np.random.Generator) -> bytes:
-    """A field between blanks set to what is no number, or to one that is too large, negative or without end."""
+    """A field between blanks replaced by text, or by a number that is too large, negative or infinite."""
     fields = data.split(b" ")
     values = [b"nan", b"-1", b"1e308", b"inf", b"", b"x", b"0", b"99999999999999999999", b"1e-320"]
     fields[int(rng.integers(len(fields)))] = values[int(rng.integers(len(values)))]

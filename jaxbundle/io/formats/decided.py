@@ -1,4 +1,4 @@
-"""The reading of a file that its rays decide for: other readings are tried, the choice is told, nonsense is refused."""
+"""Chooses the conventions of a file by its rays: alternatives are tried, the choice is reported, a misfit is refused."""
 
 import dataclasses
 from typing import NamedTuple

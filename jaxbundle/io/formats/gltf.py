@@ -35,7 +35,7 @@ def read_tracks(path: Path, images: dict[int, int]) -> Tracks | None:
     try:
         primitives = [one for mesh in content["meshes"] for one in mesh["primitives"]]
         found = next((one for one in primitives if EXTENSION in one.get("extensions", {})), None)
-        with np.errstate(all="ignore"):  # what is not a number is told below
+        with np.errstate(all="ignore"):  # values that are not finite are reported below
             return None if found is None else _tracks(path, content, found, images)
     except (KeyError, IndexError, TypeError, AttributeError, ValueError, OverflowError) as error:
         if isinstance(error, ValueError) and hasattr(error, "problems"):

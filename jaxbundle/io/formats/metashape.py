@@ -133,7 +133,7 @@ class _Reader:
         """The block. Raises: BlockError with all that was noted."""
         cameras, number_of_sensor = self._sensors()
         ids, images = self._cameras(number_of_sensor)
-        with np.errstate(all="ignore"):  # what is not a number is told there
+        with np.errstate(all="ignore"):  # values that are not finite are reported there
             ties, coordinates, rays = self._tie_points(ids)
         control, marks = self._markers(ids, len(ties))
         names = [*ties, *(name for name in marks.names)]
