@@ -1,4 +1,4 @@
-"""Chooses the conventions of a file by its rays: alternatives are tried, the choice is reported, a misfit is refused."""
+"""Chooses the conventions of a file by its rays: alternatives are tried, the choice is reported, no fit is refused."""
 
 import dataclasses
 from typing import NamedTuple
