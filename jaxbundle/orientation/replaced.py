@@ -9,6 +9,9 @@ from jaxbundle.block.wording import RADIANS, counted, named
 from jaxbundle.numerics.host import on_host
 from jaxbundle.orientation.sight import Sight
 
+VERTICAL = 0.7  # cosine: axes within 45 degrees of the vertical
+MOST = 0.5  # share of the images
+
 
 def turned(
     first: Float[np.ndarray, "image 3 3"], second: Float[np.ndarray, "image 3 3"]
@@ -42,7 +45,19 @@ def replaced_images(block: Block, replaced: Bool[np.ndarray, " image"], now: Sig
     )
     cure = "correct images.csv: the given values do not agree with the rays"
     subjects = tuple(Subject("images", (structure.image_names[chosen[k]],)) for k in order)
+    up = before.reshape(-1, 3, 3)[:, 2, 2], now.rotation[chosen][:, 2, 2]  # of the axis from the object to the image
+    overturned = (np.abs(up[0]) > VERTICAL) & (np.abs(up[1]) > VERTICAL) & (up[0] * up[1] < 0)
+    mirrored = []
+    if overturned.sum() > MOST * len(replaced):  # single images may be wrong by half a turn, but not nearly all
+        said = (
+            f"control and image coordinates are mirrored: they turn {counted(int(overturned.sum()), 'image')} of"
+            f" {len(replaced)} upside down, to look upwards in place of downwards or the reverse"
+        )
+        mirrored = [
+            Finding(Kind.MIRRORED, said, "exchange X and Y of the control, or turn the y axis of the rays", subjects)
+        ]
     return [
+        *mirrored,
         Finding(
             Kind.REPAIRED,
             what.replace("its points", "their points") if len(parts) > 1 else what,
@@ -50,7 +65,7 @@ def replaced_images(block: Block, replaced: Bool[np.ndarray, " image"], now: Sig
             subjects,
             float(angle.max()),
             structure.angle_unit,
-        )
+        ),
     ]
 
 
