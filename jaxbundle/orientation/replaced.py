@@ -47,6 +47,9 @@ def replaced_images(block: Block, replaced: Bool[np.ndarray, " image"], now: Sig
     subjects = tuple(Subject("images", (structure.image_names[chosen[k]],)) for k in order)
     up = before.reshape(-1, 3, 3)[:, 2, 2], now.rotation[chosen][:, 2, 2]  # of the axis from the object to the image
     overturned = (np.abs(up[0]) > VERTICAL) & (np.abs(up[1]) > VERTICAL) & (up[0] * up[1] < 0)
+    ground = np.nanmedian(now.believed[:, 2]) if len(now.believed) else np.nan
+    above = on_host(block.exterior.projection_centre)[chosen, 2] > ground, now.centre[chosen, 2] > ground
+    overturned &= above[0] != above[1]  # an attitude alone may be wrong by half a turn
     mirrored = []
     if overturned.sum() > MOST * len(replaced):  # single images may be wrong by half a turn, but not nearly all
         said = (
