@@ -60,11 +60,12 @@ def with_unknowns(block: Block, unknowns: Unknowns) -> Block:
 def test_engines_and_methods(block, reference, engine, method):
     found = adjust(block, method=method, engine=engine)
     assert found.trustworthy and found.method == method
-    assert float(found.vtpv) == pytest.approx(float(reference.vtpv), rel=1e-12)
+    # a residual is rounded to some 1e-11 sigma (100 mm in float64 over 0.005 mm), 650 of them change v^T P v by 3e-10
+    assert float(found.vtpv) == pytest.approx(float(reference.vtpv), abs=1e-9)
     assert off(found.block, reference) < 1e-6
     iterations = found.iterations
     assert float(iterations.initial_cost) == pytest.approx(float(reference.iterations.initial_cost), rel=1e-12)
-    assert 2 * float(iterations.final_cost) == pytest.approx(float(reference.vtpv), rel=1e-12)
+    assert 2 * float(iterations.final_cost) == pytest.approx(float(reference.vtpv), abs=1e-9)
     assert 0 < int(iterations.accepted) <= int(iterations.trials) < 30
 
 
@@ -83,7 +84,7 @@ def test_stock_levenberg_marquardt_of_optimistix(block, reference):
     x = jax.jit(solve)(jnp.zeros(free_count(observations)))
     origin = jnp.mean(block.exterior.projection_centre, 0)
     found = with_unknowns(block.moved(-origin), moved(unknowns, observations, x / lengths)).moved(origin)
-    assert float(jnp.sum(residuals(x, None) ** 2)) == pytest.approx(float(reference.vtpv), rel=1e-12)
+    assert float(jnp.sum(residuals(x, None) ** 2)) == pytest.approx(float(reference.vtpv), abs=1e-9)
     assert off(found, reference) < 1e-5
 
 
