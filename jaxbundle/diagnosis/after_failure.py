@@ -16,7 +16,7 @@ from jaxtyping import Bool, Float, Int
 from jaxbundle.block.block import Block
 from jaxbundle.block.changes import without_component
 from jaxbundle.block.findings import Finding, Kind, Subject
-from jaxbundle.block.observations import CONTROL, observation_group
+from jaxbundle.block.observation_kinds import CONTROL, observation_group
 from jaxbundle.block.problems import BlockError
 from jaxbundle.block.wording import counted, named
 from jaxbundle.diagnosis.wrong_rays import wrong_rays
