@@ -15,7 +15,7 @@ from jaxbundle.block.problems import BlockError, Problem
 
 def validate(block: Block) -> list[Problem]:
     """Problems of a block whose values are concrete, in the order in which they are best cured."""
-    require_a(Block, block, "validate")
+    require_a(Block, block, "blocks.validate")
     wrong = inconsistencies(block)
     if wrong:
         return wrong  # nothing else can be looked at

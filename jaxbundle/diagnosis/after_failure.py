@@ -13,7 +13,7 @@ from jaxtyping import Bool, Float, Int
 from jaxbundle.block.block import Block
 from jaxbundle.block.changes import without_component
 from jaxbundle.block.findings import Finding, Kind, Subject
-from jaxbundle.block.observations import CONTROL
+from jaxbundle.block.observation_kinds import CONTROL
 from jaxbundle.block.wording import counted, named
 from jaxbundle.diagnosis.exchanged_control import exchanged_control
 from jaxbundle.diagnosis.observed_control import (

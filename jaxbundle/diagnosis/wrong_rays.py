@@ -2,9 +2,9 @@
 
 Gross errors of thousands of pixels draw a least-squares solution so far aside that its residuals accuse anybody. At the
 start they have drawn nothing yet: rays that are off there many times as far as the others are left out first, and what
-then still does not fit is wrong. Where the start tells nothing, robust weights (solve/robust.py) are tried. What is
-found are single rays, rays whose names or axes are exchanged, control points that contradict all their rays, or whole
-images.
+then still does not fit is wrong. Where the start tells nothing, robust weights (solve/reweighting.py) are tried. What
+is found are single rays, rays whose names or axes are exchanged, control points that contradict all their rays, or
+whole images.
 """
 
 import equinox as eqx
@@ -13,7 +13,7 @@ from jaxtyping import Bool, Float, Int
 
 from jaxbundle.block.block import Block
 from jaxbundle.block.findings import Finding, Kind, Subject
-from jaxbundle.block.observations import CONTROL
+from jaxbundle.block.observation_kinds import CONTROL
 from jaxbundle.block.residuals import observations_of, ray_residuals
 from jaxbundle.block.unknowns import unknowns_of
 from jaxbundle.block.wording import counted, figure, named

@@ -1,7 +1,7 @@
 """The tables of the block folder, format 1: each is described here, once.
 
 A further kind of observation is one entry of `TABLES`: its columns, and a function that gives the kind with its
-residual (block/observations.py). Tables with `plain=True` need nothing else to be read, checked and written.
+residual (block/observation_kinds.py). Tables with `plain=True` need nothing else to be read, checked and written.
 """
 
 from collections.abc import Callable
@@ -9,7 +9,7 @@ from dataclasses import replace
 from functools import partial
 
 from jaxbundle.block.geodetic import LINES, PLANES, geodetic_kind
-from jaxbundle.block.observations import CONTROL, STATIONS, ObservationKind
+from jaxbundle.block.observation_kinds import CONTROL, STATIONS, ObservationKind
 from jaxbundle.io.schema import Column, Holds, OwnerSchema, TableSchema, Unit, called
 
 COORDINATES = ("X", "Y", "Z")

@@ -8,8 +8,8 @@ its format cannot hold.
     foreign_block   the types that every reader fills
     source          text, JSON and XML, faults told with file and line
     rotations       matrices, quaternions, vectors and angles of many images
-    misfit, decided, selection, control_system, assembled      from ForeignBlock to Block
+    misfit, decided, usable_part, control_system, assembled      from ForeignBlock to Block
     written         from Block to what writers take
     ground_control  gcp_list.txt, geo.txt and tables of control beside a block
-    registry        the table of all formats
+    format_table    the table of all formats
 """

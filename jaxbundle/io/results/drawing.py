@@ -3,7 +3,7 @@
 from pathlib import Path
 
 from jaxbundle.io.formats.extras import extra
-from jaxbundle.io.results.features import Features
+from jaxbundle.io.results.map_features import Features
 from jaxbundle.io.results.maps import LINE, POINT, layers_of
 
 COLOURS = {"points": 7, "images": 5, "residuals": 1, "ellipses": 3}  # of AutoCAD's index: white, blue, red, green
