@@ -1,7 +1,7 @@
-"""What a block folder gives and the adjustment does not use, and the cause where there seems to be one.
+"""Contents of a block folder that the adjustment does not use, with the probable cause.
 
-Control or stations of which not one row takes part are most often a slip in names, sigmas or [tables]: a block that is
-adjusted without them has another datum than was meant.
+If no row of control or stations is used, the usual cause is a mistake in names, sigmas or [tables]: without them the
+block has a datum that was not intended.
 """
 
 from collections.abc import Iterable, Sequence
@@ -23,14 +23,16 @@ from jaxbundle.io.tables import near, read_table
 
 CARRYING = {"control": "control points", "stations": "stations", "attitudes": "attitudes"}
 DATUM = ("control", "stations")
-FEW = 10  # names without a partner that may be slips; more are another list of points
-NEAR = 0.05  # of the extent of the object points: control is that near to its approximate coordinates, or another point
+FEW = 10  # maximum number of unmatched names that may be mistakes; more are another list of points
+NEAR = (
+    0.05  # share of the extent of the object points: control farther from its approximate coordinates is another point
+)
 
 
 def unused(
     folder: Path | None, toml: BlockToml, settings: Settings, tables: FolderTables, noted: Noted
 ) -> tuple[Finding, ...]:
-    """What takes no part, one finding for each cause; `folder`: where the tables are from, if they are from files."""
+    """Findings about unused contents, one for each cause; `folder`: the folder of the tables, None for frames."""
     found: list[Finding] = []
     for kind in CARRYING:
         if kind in tables.known:
@@ -66,12 +68,12 @@ def _subjects(kind: str, rows: KnownRows, members: Iterable[int]) -> tuple[Subje
 
 
 def _grade(settings: Settings) -> Severity | None:
-    """A datum that block.toml gives needs no control: then what is not used is to be checked only."""
+    """Severity: with a datum in block.toml no control is needed, so unused control is only to be checked."""
     return None if settings.datum is None else Severity.CHECK
 
 
 def _carrying(kind: str, tables: FolderTables, settings: Settings, noted: Noted) -> list[Finding]:
-    """Rows of control, stations or attitudes that take no part."""
+    """The finding about rows of control, stations or attitudes if none of them is used."""
     rows = tables.known[kind]
     meant = np.flatnonzero(~rows.check)
     unseen = np.flatnonzero(rows.position < 0)
@@ -88,8 +90,8 @@ def _carrying(kind: str, tables: FolderTables, settings: Settings, noted: Noted)
         angles = kind == "attitudes"
         unit = settings.units.angle if angles else settings.units.object
         columns = ", ".join(f"s{name}" for name in (tables.angles if angles else "XYZ"))
-        causes.append(f"{columns} are empty or belong to coordinates that are empty, so nothing of them is observed")
-        zero = "; 0 holds a coordinate" if kind == "control" else ""
+        causes.append(f"{columns} are empty or belong to coordinates that are empty, so none of them is observed")
+        zero = "; 0 fixes a coordinate" if kind == "control" else ""
         cures.append(f"give the standard deviations {columns} in {unit}{zero}")
     noted.touched.update(match.pairs.values() if match else (), (rows.names[row] for row in meant))
     none = "the only row" if len(meant) == 1 else f"none of the {len(meant)} {CARRYING[kind]}"
@@ -105,7 +107,7 @@ def _free_points(tables: FolderTables) -> list[str]:
 
 
 def _unseen(tables: FolderTables, unseen: Int[np.ndarray, " row"], noted: Noted) -> list[Finding]:
-    """Control or check points on no image: those that resemble a point on images are to be checked."""
+    """Findings about control or check points on no image: names similar to a point on images are to be checked."""
     rows = tables.known["control"]
     if not len(unseen):
         return []
@@ -164,7 +166,7 @@ def _approximate(tables: FolderTables) -> list[Finding]:
 
 
 def _files(folder: Path, toml: BlockToml, settings: Settings, tables: FolderTables, noted: Noted) -> list[Finding]:
-    """Tables that are there and not named in [tables]."""
+    """Findings about tables that exist but are not named in [tables]."""
     located = any(len(_takes_part(tables.known[kind])) for kind in DATUM if kind in tables.known)
     found = []
     for kind, schema in TABLES.items():
@@ -184,6 +186,6 @@ def _files(folder: Path, toml: BlockToml, settings: Settings, tables: FolderTabl
 
 
 def _names_in(path: Path) -> list[str]:
-    """The points that a table of control names, as far as it can be read."""
+    """Names of the points of a table of control, as far as it can be read."""
     table = read_table(path, TABLES["control"].only(("point",)), Noted())
     return table.text["point"].to_list() if table else []

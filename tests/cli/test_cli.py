@@ -320,7 +320,7 @@ def test_convert(run, folder, tmp_path, shared_data):
     assert read(tmp_path / "copy").structure.image_names == read(folder).structure.image_names
     assert run("convert", folder, "copy")[0] == 2  # it exists
     code, _, err = run("convert", folder, "copy.txt")
-    assert code == 2 and "BAL files know 'bal' alone" in err and not (tmp_path / "copy.txt").exists()
+    assert code == 2 and "BAL files support the model 'bal' only" in err and not (tmp_path / "copy.txt").exists()
     bal = shared_data / "bal" / "ladybug-49-shrink-1800.txt"
     assert run("convert", bal, "folder")[0] == run("convert", "folder", "again.txt")[0] == 0
     assert read(tmp_path / "again.txt").structure.point_names == read(bal).structure.point_names

@@ -44,7 +44,7 @@ def is_bingo(path: Path) -> bool:
 def read_bingo(path: Path, options: ReadOptions = DEFAULT) -> ForeignBlock:
     """The block of a folder.
 
-    Raises: BlockError with all that is wrong.
+    Raises: BlockError with all problems.
     """
     noted, found = Noted(), Collected()
     read_image_dat(path / "image.dat", found, noted)

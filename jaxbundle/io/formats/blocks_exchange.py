@@ -55,7 +55,7 @@ def is_blocks_exchange(path: Path) -> bool:
 def read_blocks_exchange(path: Path, options: ReadOptions = DEFAULT) -> ForeignBlock:
     """The first block of the file.
 
-    Raises: BlockError with all that is wrong.
+    Raises: BlockError with all problems.
     """
     reader = _Reader(path)
     for tag, one in elements(path, "SRS", "Photogroup", "ControlPoint", "TiePoint", "ScaleConstraint"):

@@ -42,7 +42,7 @@ def is_colmap(path: Path) -> bool:
 def read_colmap(path: Path, options: ReadOptions = DEFAULT) -> ForeignBlock:
     """The model in a folder; binary files are preferred to text.
 
-    Raises: BlockError with all that is wrong, in file and line or byte.
+    Raises: BlockError with all problems, in file and line or byte.
     """
     noted = Noted()
     binary = all((path / f"{name}.bin").is_file() for name in FILES)

@@ -45,7 +45,7 @@ def read_control(path: Path, sigma: tuple[float, float] | None = None) -> Ground
 
     `sigma`: standard deviations in plan and height of a table without them.
 
-    Raises: BlockError with all that is wrong.
+    Raises: BlockError with all problems.
     """
     lines = lines_of(path)
     first = next((line for line in lines if line.strip()), "")
@@ -246,7 +246,7 @@ class Positions:
 def read_positions(path: Path, sigma: tuple[float, float] | None = None) -> Positions:
     """A geo.txt.
 
-    Raises: BlockError with all that is wrong.
+    Raises: BlockError with all problems.
     """
     noted, lines = Noted(), lines_of(path)
     system, at = next(((line.strip(), k + 1) for k, line in enumerate(lines) if line.strip()), ("", len(lines)))

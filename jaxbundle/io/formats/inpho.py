@@ -45,7 +45,7 @@ class _Camera:
 def read_inpho(path: Path, options: ReadOptions = DEFAULT) -> ForeignBlock:
     """The project of a file.
 
-    Raises: BlockError with all that is wrong.
+    Raises: BlockError with all problems.
     """
     reader = _Reader(path)
     reader.read(lines_of(path))

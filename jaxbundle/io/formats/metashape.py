@@ -81,7 +81,7 @@ class _Transform(NamedTuple):
 def read_metashape(path: Path, options: ReadOptions = DEFAULT) -> ForeignBlock:
     """The first chunk of a project, or the one of a label.
 
-    Raises: BlockError with all that is wrong.
+    Raises: BlockError with all problems.
     """
     archive = Archive(path)
     root = archive.document()

@@ -56,7 +56,7 @@ def read_micmac(path: Path, options: ReadOptions = DEFAULT) -> ForeignBlock:
 
     Without ground points and homologous points the rays are those that each orientation brings to verify it.
 
-    Raises: BlockError with all that is wrong.
+    Raises: BlockError with all problems.
     """
     folder = _folder(path) or path
     reader = _Reader(folder)

@@ -53,7 +53,7 @@ def is_nvm(path: Path) -> bool:
 def read_nvm(path: Path, options: ReadOptions = DEFAULT) -> ForeignBlock:
     """The first model of an NVM file.
 
-    Raises: BlockError with all that is wrong.
+    Raises: BlockError with all problems.
     """
     noted, lines = Noted(), [(k, line.strip()) for k, line in enumerate(lines_of(path), 1)]
     rows = [(k, line) for k, line in lines[1:] if line and not line.startswith("#")]

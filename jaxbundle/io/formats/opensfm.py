@@ -104,7 +104,7 @@ def is_opensfm(path: Path) -> bool:
 def read_opensfm(path: Path, options: ReadOptions = DEFAULT) -> ForeignBlock:
     """The largest reconstruction of a folder and the tracks beside it.
 
-    Raises: BlockError with all that is wrong.
+    Raises: BlockError with all problems.
     """
     folder = path if (path / FILE).is_file() else path / "opensfm"
     content = json_of(folder / FILE)

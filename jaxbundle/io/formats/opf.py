@@ -174,7 +174,7 @@ def is_opf(path: Path) -> bool:
 def read_opf(path: Path, options: ReadOptions = DEFAULT) -> ForeignBlock:
     """The calibrated cameras, tracks and control of a project.
 
-    Raises: BlockError with all that is wrong.
+    Raises: BlockError with all problems.
     """
     file = _file(path) or path
     project = validated(file, _Project, json_of(file))

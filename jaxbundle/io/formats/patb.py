@@ -55,7 +55,7 @@ def is_patb(path: Path) -> bool:
 def read_patb(path: Path, options: ReadOptions = DEFAULT) -> ForeignBlock:
     """The block of .im, .ori and, where it is there, .con.
 
-    Raises: BlockError with all that is wrong.
+    Raises: BlockError with all problems.
     """
     files = _files(path)
     if not files:

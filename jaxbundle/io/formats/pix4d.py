@@ -56,7 +56,7 @@ def is_pix4d(path: Path) -> bool:
 def read_pix4d(path: Path, options: ReadOptions = DEFAULT) -> ForeignBlock:
     """The block of a params folder.
 
-    Raises: BlockError with all that is wrong, or without image measurements.
+    Raises: BlockError with all problems, or without image measurements.
     """
     noted, found = Noted(), Collected()
     external = next(iter(sorted(path.glob(EXTERNAL))))

@@ -80,7 +80,7 @@ def recognised(path: Path) -> list[Format]:
 def read_format(path: Path, name: str, options: ReadOptions = DEFAULT) -> ForeignBlock:
     """What a path in a format holds, before it is a block.
 
-    Raises: ValueError for a format that is not read; BlockError with all that is wrong.
+    Raises: ValueError for a format that is not read; BlockError with all problems.
     """
     form = FORMATS.get(name)
     if form is None or form.read is None:

@@ -34,7 +34,7 @@ class Sources:
 def read_sources(path: Path, form: Format, sources: Sources) -> Block:
     """The block of a path in a format, with the control and stations of the tables beside it.
 
-    Raises: BlockError with all that is wrong in one of the files.
+    Raises: BlockError with all problems in one of the files.
     """
     foreign = read_format(path, form.name, sources.options)
     control = read_control(sources.control, sources.control_sigma) if sources.control else None

@@ -168,7 +168,7 @@ def test_several_formats_are_told(tmp_path, shared_data):
     folder = copied(shared_data, "bingo", tmp_path)
     for path in (shared_data / "exchange" / "patb").glob("sxb.*"):
         shutil.copy(path, folder)
-    with pytest.raises(BlockError, match="say which one with --format, one of: bingo, patb"):
+    with pytest.raises(BlockError, match="choose one with --format, one of: bingo, patb"):
         read(folder)
 
 
