@@ -181,5 +181,5 @@ def unused(names: Sequence[str], used: Iterable[int], what: str) -> list[str]:
     left = [name for k, name in enumerate(names) if k not in taken]
     if not left:
         return []
-    be, take = ("is", "takes") if len(left) == 1 else ("are", "take")
-    return [f"{what}{'' if len(left) == 1 else 's'} {listed(left)} {be} in no table and {take} no part"]
+    be = "is" if len(left) == 1 else "are"
+    return [f"{what}{'' if len(left) == 1 else 's'} {listed(left)} {be} in no table and {be} not used"]

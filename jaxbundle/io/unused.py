@@ -39,7 +39,7 @@ def unused(
             found += _carrying(kind, tables, settings, noted)
     found += _approximate(tables)
     names = [name for name in settings.cameras if name not in tables.images.camera]
-    notes = [f"camera {listed([name])} has no image and takes no part" for name in names]
+    notes = [f"camera {listed([name])} has no image and is not used" for name in names]
     for kind, owners in tables.owners.items():
         users = [rows for rows in tables.observed.values() if (of := rows.table.schema.owner) and of.table == kind]
         used = [k for rows in users for k in rows.owner.tolist()]
@@ -95,7 +95,7 @@ def _carrying(kind: str, tables: FolderTables, settings: Settings, noted: Noted)
         cures.append(f"give the standard deviations {columns} in {unit}{zero}")
     noted.touched.update(match.pairs.values() if match else (), (rows.names[row] for row in meant))
     none = "the only row" if len(meant) == 1 else f"none of the {len(meant)} {CARRYING[kind]}"
-    takes = "takes no part" if len(meant) == 1 else "takes part"
+    takes = "is not used" if len(meant) == 1 else "is used"
     what = f"{none} of {rows.table.file} {takes}: {'; '.join(causes)} ({listed([rows.names[row] for row in meant])})"
     return [Finding(Kind.NOT_USED, what, "; ".join(cures), _subjects(kind, rows, meant), grade=_grade(settings))]
 
@@ -148,8 +148,8 @@ def _in_one_place(tables: FolderTables, control: str, partner: str) -> bool:
 
 def _on_no_image(what: str, names: Sequence[str]) -> str:
     if len(names) == 1:
-        return f"{what} point {listed(names)} is on no image and takes no part"
-    return f"{len(names)} {what} points are on no image and take no part: {listed(names)}"
+        return f"{what} point {listed(names)} is on no image and is not used"
+    return f"{len(names)} {what} points are on no image and are not used: {listed(names)}"
 
 
 def _approximate(tables: FolderTables) -> list[Finding]:
@@ -173,7 +173,7 @@ def _files(folder: Path, toml: BlockToml, settings: Settings, tables: FolderTabl
         file = schema.file
         if kind in REQUIRED or file in toml.tables.values() or not (folder / file).exists():
             continue
-        what, cure = f"{file} is not named in [tables] of {FILE} and takes no part", f'add {kind} = "{file}" there'
+        what, cure = f"{file} is not named in [tables] of {FILE} and is not used", f'add {kind} = "{file}" there'
         if kind not in DATUM or kind in toml.tables:
             found.append(Finding(Kind.UNUSED, what))
         elif located or settings.datum is not None:

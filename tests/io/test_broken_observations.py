@@ -170,7 +170,7 @@ CASES: dict[str, tuple[Edit, str]] = {
     # control
     "covariance without weight": (
         control("106,1,2,,0.1,0.1,,control,,0.001,,"),
-        "control.csv:7: point 106: cXZ is given, but not both sigmas of observed X and Z; give both, "
+        "control.csv:7: point 106: cXZ is given, but not both sigmas of observed X and Z; give both, ",
     ),
     "covariance too large": (
         control("106,1,2,3,0.1,0.1,0.1,control,0.02,,,"),
@@ -327,7 +327,7 @@ def test_what_is_defined_and_not_used_is_noted(tmp_path: Path) -> None:
     navigation('estimate = ["shift"]')(folder)
     block = read_block_folder(folder)
     assert tuple(note.words for note in block.structure.findings) == (
-        "bars c, d are in no table and take no part",
-        "navigation group strip is in no table and takes no part",
+        "bars c, d are in no table and are not used",
+        "navigation group strip is in no table and is not used",
     )
     assert [parameter.name for parameter in block.structure.parameters] == ["length of bar b"]

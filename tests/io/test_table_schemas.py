@@ -63,7 +63,7 @@ GRADIENTS = TableSchema(
     (
         Column("from", Holds.END),
         Column("to", Holds.END),
-        Column("gradient", empty="add it"),
+        Column("gradient", empty="add the camera"),
         Column("sigma", Holds.SIGMA, zero="give a positive number"),
     ),
     "Z over distance",
@@ -90,7 +90,7 @@ LEVELS = TableSchema(
     "level {level}",
     (
         Column("level", Holds.TEXT),
-        Column("index", unit=Unit.OBJECT, empty="add it"),
+        Column("index", unit=Unit.OBJECT, empty="add the camera"),
         Column("sigma", Holds.SIGMA, Unit.OBJECT),
     ),
     "index errors",
