@@ -68,7 +68,7 @@ def test_a_flight_is_predicted(run, tmp_path):
         assert len(circles) == found["judged_points"] + 6 + 1  # the legend and the ring
     assert (tmp_path / "plan" / "points.csv").read_text().startswith("point,X,Y,Z,sX,sY,sZ,rays,control\n")
     code, out, _ = run("flight", "flight.toml", "--out", "plan", z=1e-3)
-    assert code == 1 and "does not keep the specification" in out
+    assert code == 1 and "does not meet the specification" in out
 
 
 def test_a_flight_is_simulated(run, tmp_path):
