@@ -98,7 +98,7 @@ def _verdict(prediction: Prediction, plan: FlightPlan, specification: Specificat
         check_specification(prediction, specification, in_area(prediction.block, plan)),
         prediction.block.structure.object_unit,
     )
-    told = "keeps" if check.passed and not found else "does not meet"
+    told = "meets" if check.passed and not found else "does not meet"
     limits = (
         f"X, Y {specification.xy:g} {unit}, Z {specification.z:g} {unit} at {specification.share:.0%} of the points"
     )
