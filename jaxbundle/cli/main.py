@@ -351,7 +351,7 @@ def convert(
     out: Annotated[
         Path,
         typer.Argument(
-            help="A block folder, or a file whose suffix determines its format: .txt (BAL), .xml, .nvm, .out, .ply, ...",
+            help="A block folder, or a file whose suffix determines its format: .txt (BAL), .xml, .nvm, .out, .ply ...",
             show_default=False,
         ),
     ],

@@ -89,7 +89,7 @@ def _not_met(cluster: Cluster) -> None:
     address, count, number = cluster
     who = "process" if number is None else f"process {number} of {count}"
     typer.echo(
-        f"jaxbundle: {who} could not connect to all others at {address} within {MEETING} s; start process 0 there and one"
+        f"jaxbundle: {who} could not connect to the others at {address} in {MEETING} s; start process 0 there and one"
         " process of each number with the same --coordinator and --processes, and open the port in the firewall",
         err=True,
     )

@@ -1,9 +1,10 @@
-"""What is wrong where an adjustment did not converge, or ended with residuals beyond any use.
+"""Causes of an adjustment that did not converge, or that ended with unusable residuals.
 
-A gross error of control bends and turns a block until nothing fits: final residuals say little. So control is first
-observed so loosely that the rays decide on the shape of the block, and reweighted by its residuals until those that
-agree carry the block (an estimate of least sums, Krarup, Juhl, Kubik 1980); what then stands far off is held back, and
-the block is adjusted again as it was. What lets it converge is named, with the size of its error.
+A gross error of control bends and rotates a block until nothing fits, so the final residuals are not conclusive.
+Therefore control is first observed with such large sigmas that the rays determine the shape of the block. It is
+reweighted by its residuals until the consistent points determine the datum (an estimate of least sums, Krarup, Juhl,
+Kubik 1980). Points that are then far off are left out, and the original block is adjusted again. If it converges, these
+points are named, with the size of their errors.
 """
 
 import dataclasses
@@ -25,24 +26,24 @@ from jaxbundle.orientation.sight import intersected, photo_vectors, sight_of
 from jaxbundle.solve.adjust import adjust
 from jaxbundle.solve.adjustment import Adjustment, Status
 
-ABSURD = 10.0  # sigma0 at which residuals are beyond any use
-CURED = 0.3  # of sigma0, left without what is named
-LOOSE = 0.02  # of the depth: sigma of loose control; flight plans and models are better
-ROUNDS = 4  # of reweighting: residuals of what is wrong grow to their errors
+ABSURD = 10.0  # sigma0 above which residuals are unusable
+CURED = 0.3  # maximum share of sigma0 that remains without the named points
+LOOSE = 0.02  # share of the depth: sigma of loose control; flight plans and models are better
+ROUNDS = 4  # rounds of reweighting: residuals of wrong points grow to their errors
 OUTLYING = 6.0  # times the median distance of the others
-SIDE_EFFECT = 0.05  # of the largest error: below, a point may have been bent
-NO_WEIGHT = 1e9  # sigma in the object unit, of a point that is as good as not observed
-FAR = 0.3  # of the depth: control is started where its rays meet
-ITERATIONS = 50  # of a try
-LEAST = 4  # control points; of three none can be told wrong
-EXTREME = 1e-4  # of the median sigma: an observation that weighs 10^8 times the others
+SIDE_EFFECT = 0.05  # share of the maximum error: below this a point may be displaced by other errors
+NO_WEIGHT = 1e9  # sigma in the object unit, of a point that is practically not observed
+FAR = 0.3  # share of the depth: beyond, control starts at the intersection of its rays
+ITERATIONS = 50  # maximum number for one trial
+LEAST = 4  # minimum number of control points; with three, no point can be identified as wrong
+EXTREME = 1e-4  # share of the median sigma: the weight is 10^8 times that of the others
 
 
 def causes(start: Block, adjustment: Adjustment) -> tuple[Finding, ...]:
-    """What keeps a block from converging: observations of extreme weight, control points that contradict the others, or
-    else rays and images.
+    """Causes of a failed convergence: extreme weights, control points that contradict the others, or else
+    rays and images.
 
-    `start`: the block as it was given to the adjustment. Nothing is tried where the adjustment ended well.
+    `start`: the block before the adjustment. No cause is searched for after a successful adjustment.
     """
     ended_well = adjustment.status is Status.CONVERGED and float(adjustment.sigma0) <= ABSURD
     looked_at = start.concrete and start.structure.model.photographs
@@ -54,7 +55,7 @@ def causes(start: Block, adjustment: Adjustment) -> tuple[Finding, ...]:
 
 
 def _extreme_sigmas(block: Block) -> list[Finding]:
-    """Observations whose sigmas are far below those of their table."""
+    """Findings about observations whose sigmas are far below those of their table."""
     s = block.structure
     findings = []
     sigmas = np.asarray(block.rays.sigmas).min(1)
@@ -95,7 +96,7 @@ def _extreme_control(
         f"{counted(len(few), 'control point')} with a sigma of {least:.3g} {unit} against {typical:.3g} {unit} of the"
         f" others: {named(names)}"
     )
-    cure = "correct the sigma, or hold the point with sigma 0"
+    cure = "correct the sigma, or fix the point with sigma 0"
     return [Finding(Kind.SIGMAS, what, cure, tuple(Subject("control", (name,)) for name in names), float(least), unit)]
 
 
@@ -108,7 +109,7 @@ class _Loose(NamedTuple):
 
 
 def _wrong_control(start: Block, adjustment: Adjustment) -> list[Finding]:
-    """Control points without which the block converges."""
+    """Findings about control points without which the block converges."""
     control = _as_observed(start)
     if control is None or len(control.point) < LEAST:
         return []
@@ -120,7 +121,7 @@ def _wrong_control(start: Block, adjustment: Adjustment) -> list[Finding]:
         return []
     error = np.linalg.norm(_errors(control, without), axis=1)
     large = wrong & (error > SIDE_EFFECT * error[wrong].max())
-    if (large != wrong).any():  # innocent points that were bent by the large errors
+    if (large != wrong).any():  # correct points that the large errors displaced
         again = _try(_held_back(control, large))
         if again is not None and float(again.sigma0) <= ABSURD:
             wrong, without = large, again
@@ -131,7 +132,7 @@ def _wrong_control(start: Block, adjustment: Adjustment) -> list[Finding]:
 
 
 def _as_observed(block: Block) -> _Loose | None:
-    """The block with held control points observed instead, in the same group as the others."""
+    """The block in which fixed control points are observed, in the same group as the others."""
     groups = [
         k for k, group in enumerate(block.groups) if group.structure.kind == CONTROL and group.covariances is None
     ]
@@ -163,7 +164,7 @@ def _depth(block: Block) -> float:
 
 
 def _far_off(control: _Loose) -> Bool[np.ndarray, " member"] | None:
-    """Control points that stand far off when the others agree."""
+    """Indices of control points that are far off when the others agree."""
     block, group = _started_where_rays_meet(control.block), control.block.groups[control.group]
     observed, values = group.structure.observed, np.asarray(group.values)
     sigma = np.full(len(values), LOOSE * _depth(block))
@@ -184,7 +185,7 @@ def _far_off(control: _Loose) -> Bool[np.ndarray, " member"] | None:
 
 
 def _started_where_rays_meet(block: Block) -> Block:
-    """The block with control points that start far off put where their rays meet."""
+    """The block in which control points with a distant start are moved to the intersection of their rays."""
     sight = sight_of(block)
     meet = intersected(sight)
     far = np.linalg.norm(meet.points - sight.points, axis=1) > FAR * _depth(block)
@@ -211,7 +212,7 @@ def _held_back(control: _Loose, wrong: Bool[np.ndarray, " member"]) -> Block:
 
 
 def _try(block: Block, converged: bool = True) -> Adjustment | None:
-    """The adjustment; None where it cannot be made or, if that is asked, does not converge."""
+    """The adjustment; None where it is impossible or, if required, does not converge."""
     try:
         found = adjust(block, precision=False, max_iterations=ITERATIONS)
     except BlockError:
@@ -221,14 +222,14 @@ def _try(block: Block, converged: bool = True) -> Adjustment | None:
 
 
 def _errors(control: _Loose, found: Adjustment) -> Float[np.ndarray, "member 3"]:
-    """Given less adjusted coordinates, 0 where nothing is given."""
+    """Given - adjusted coordinates, 0 where not given."""
     group = control.block.groups[control.group]
     error = np.asarray(group.values) - on_host(found.block.object_points)[control.point]
     return np.where(group.structure.observed, error, 0.0)
 
 
 def _named(start: Block, control: _Loose, wrong: Bool[np.ndarray, " member"], without: Adjustment) -> Finding:
-    """The control points that were held back, with their errors."""
+    """The finding about the control points that were left out, with their errors."""
     s, members = start.structure, np.flatnonzero(wrong)
     error = _errors(control, without)[members]
     size = np.linalg.norm(error, axis=1)

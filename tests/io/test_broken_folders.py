@@ -245,7 +245,7 @@ CASES: dict[str, tuple[Edit, str]] = {
     "parallel rays": (
         lambda folder: [dropped("rays.csv", "021,112", "022,112")(folder), same_place(folder)],
         "rays.csv:13: point 112 has no coordinates and its rays do not intersect; "
-        "give it approximate coordinates, measure it on an image from elsewhere or drop it",
+        "give it approximate coordinates, measure it on an image from a different position or drop it",
     ),
     "control of the datum": (
         dropped("control.csv", "103", "104"),

@@ -87,7 +87,7 @@ def test_finds_correlated_parameters(adjustment) -> None:
 
     changed = with_parameter_cofactors(adjustment, correlate)
     (sentence,) = [sentence for sentence in words(changed) if "shift X of strip 1 and shift Z" in sentence]
-    assert "by -0.980; hold one of each pair, or give it a value with a sigma" in sentence
+    assert "by -0.980; fix one of each pair, or give it a value with a sigma" in sentence
     assert "-0.9800" in report_text(changed)
     (pair,) = report_dict(changed)["high_parameter_correlations"]
     assert pair == ["shift X of strip 1", "shift Z of strip 1", pytest.approx(-0.98)]

@@ -124,7 +124,7 @@ def test_a_cluster_that_does_not_meet(tmp_path: Path) -> None:
     ]
     ((code, output),) = together([[*command, "--process", "1"]])
     assert code == 2
-    assert "process 1 of 2 could not connect to all others" in output
+    assert "process 1 of 2 could not connect to the others" in output
 
 
 LOST = """
