@@ -76,7 +76,7 @@ def _unusable_values(block: Block) -> list[Problem]:
     return problems + [
         Problem(
             f"point {structure.point_names[p]} has no coordinates and its rays do not intersect",
-            "give it approximate coordinates, measure it on an image from elsewhere or drop it",
+            "give it approximate coordinates, measure it on an image from a different position or drop it",
             "points",
             int(p),
         )
