@@ -21,7 +21,7 @@ from jaxbundle.block.similarity_defect import SimilarityDefect, displacements, s
 from jaxbundle.block.wording import named
 
 LARGEST_ANGLE = np.deg2rad(10.0)  # standard deviation: beyond, propagation of errors of first order is wrong by 1.5 %
-LARGEST_SHARE = 0.1  # standard deviation of a place, of the block's radius: no map of any scale is drawn from it
+LARGEST_SHARE = 0.1  # standard deviation of a place in the block, of its radius: no map of any scale is drawn from it
 AT_REST = 0.05  # of the largest displacement: places that carry the axis of a rotation
 
 
@@ -69,17 +69,24 @@ def weak_datum(block: Block, sigma0: float) -> tuple[Finding, ...]:
     factor = min(sigma0, 1.0) if np.isfinite(sigma0) else 1.0
     frame, points = precision.frame, np.asarray(precision.frame.block.object_points)
     points = points[np.isfinite(points).all(1)]
-    values, vectors = np.linalg.eigh(factor**2 * precision.covariance)
-    worst = vectors[:, -1:] * np.sqrt(max(values[-1], 0.0))
-    moved = np.linalg.norm(displacements(worst, points, frame.radius)[0], axis=1)
     extent = float(np.median(np.linalg.norm(points - np.median(points, 0), axis=1)))
-    angle = float(np.linalg.norm(worst[3:6]))
-    if angle <= LARGEST_ANGLE and np.median(moved) <= LARGEST_SHARE * extent:
+    values, vectors = np.linalg.eigh(factor**2 * precision.covariance)
+    directions = (vectors * np.sqrt(np.maximum(values, 0.0)))[:, ::-1]  # the weakest first
+    moves = displacements(directions, points, frame.radius)
+    for direction, move in zip(directions.T, moves, strict=True):
+        angle, inside = float(np.linalg.norm(direction[3:6])), np.linalg.norm(move - move.mean(0), axis=1)
+        if angle > LARGEST_ANGLE or np.median(inside) > LARGEST_SHARE * extent:
+            moved = float(np.linalg.norm(move, axis=1).max())
+            return (_finding(block, direction[:, None], moved, angle, Severity.FAILED),)
+    whole = np.linalg.norm(moves[0], axis=1)
+    if np.median(whole) <= LARGEST_SHARE * extent:
         return ()
-    return (_finding(block, worst, float(moved.max()), angle),)
+    # a translation of the whole block leaves its shape and its attitude as precise as they are
+    angle = float(np.linalg.norm(directions[3:6, 0]))
+    return (_finding(block, directions[:, :1], float(whole.max()), angle, Severity.CHECK),)
 
 
-def _finding(block: Block, worst: Float[np.ndarray, "7 1"], moved: float, angle: float) -> Finding:
+def _finding(block: Block, worst: Float[np.ndarray, "7 1"], moved: float, angle: float, severity: Severity) -> Finding:
     """The weakest direction in words, as the similarity transformation that it mostly is."""
     unit = block.structure.object_unit
     places = observed_places(block)
@@ -98,7 +105,7 @@ def _finding(block: Block, worst: Float[np.ndarray, "7 1"], moved: float, angle:
     )
     cure = "add control, or observed stations, away from the line of those that are there"
     subjects = tuple(Subject("control" if table == "point" else "stations", (name,)) for table, name, _ in resting)
-    return Finding(Kind.IMPRECISE, what, cure, subjects, moved, unit, Severity.FAILED)
+    return Finding(Kind.IMPRECISE, what, cure, subjects, moved, unit, severity)
 
 
 def similarity_words(direction: Float[np.ndarray, "7 1"]) -> tuple[str, bool]:

@@ -46,6 +46,7 @@ from jaxbundle.solve.verdict import with_verdict
 
 DAMPINGS = {"levenberg-marquardt": Marquardt, "gauss-newton": Undamped}
 RAYS_FOR_DEVICES = 10_000
+UNDAMPED_STEPS = 30  # maximum number of full steps where damped ones creep
 CREEPING_STEPS = 10  # Gauss-Newton and Levenberg-Marquardt end in fewer where the datum is determined
 
 
@@ -257,11 +258,29 @@ def _step_by_step(run: _Run, keeper: Keeper | None) -> tuple[OrderedUnknowns, It
         if jax.process_count() > 1 or not int(found.state.accepted):
             raise  # the others would wait for this one for ever; or there is nothing to keep
         interrupted = not bool(found.state.ended)
+    if creeping:
+        further = _undamped(run, found, args)
+        if further is not None:
+            found, creeping = further, False
+            last = float(found.state.cost), 0.0, float(found.state.step), True
+            entries.append((int(found.state.trials) - 1, *last))
     state, result = jax.tree.map(lambda x: on_device(on_host(x)), (found.state, found.result))
     status = Status.INTERRUPTED if interrupted else Status(int(status_of(result)))
     if creeping and status is Status.MAXIMUM_ITERATIONS:
         status = Status.CREEPING
     return found.unknowns, _iterations(state, on_device(int(status)), history_of(entries, most))
+
+
+def _undamped(run: _Run, found: Solved, args: Arguments) -> Solved | None:
+    """Full steps of Gauss-Newton from where damped ones creep along a curved valley; None unless they converge at a
+    smaller cost."""
+    damping, steps = Undamped(), min(UNDAMPED_STEPS, run.options.max_iterations - int(found.state.trials))
+    if steps <= 0:
+        return None
+    state = found.state._replace(damping=damping.initial_state())
+    further = solver.run(BundleSolver(damping), found.unknowns, args, state, steps, optimised=run.optimised)
+    converged = int(status_of(further.result)) == Status.CONVERGED and bool(further.state.ended)
+    return further if converged and float(further.state.cost) <= float(found.state.cost) else None
 
 
 def is_creeping(block: Block, costs: list[float]) -> bool:
