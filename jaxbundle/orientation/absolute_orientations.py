@@ -12,8 +12,8 @@ from jaxtyping import Array, ArrayLike, Bool, Float
 
 from jaxbundle.geometry.rotation import OMEGA_PHI_KAPPA, RotationSystem
 from jaxbundle.geometry.similarity import Similarity, similarity
-from jaxbundle.numerics.float64 import require_float64
 from jaxbundle.numerics.host import is_concrete
+from jaxbundle.numerics.program_cache import prepare_jax
 from jaxbundle.orientation.fitted_similarity import Control, Fit, all_fits, changed, residuals
 
 MAX_SOLUTIONS = 4
@@ -108,7 +108,7 @@ def absolute_orientation(
         >>> float(found.similarity.scale)
         2.0
     """
-    require_float64()
+    prepare_jax()
     if (
         np.ndim(model_points) != 2
         or np.shape(model_points) != np.shape(object_points)

@@ -15,8 +15,8 @@ from jaxtyping import Bool, Float, Int
 from jaxbundle.block.block import Block
 from jaxbundle.block.given import require_a
 from jaxbundle.block.problems import BlockError, Problem
-from jaxbundle.numerics.float64 import require_float64
 from jaxbundle.numerics.host import on_device
+from jaxbundle.numerics.program_cache import prepare_jax
 from jaxbundle.orientation.anchors import Given, anchors_of, given_of
 from jaxbundle.orientation.approximation import Approximation, Figure, OrientedPart, Step, Way
 from jaxbundle.orientation.common_rays import Directions
@@ -82,7 +82,7 @@ def approximate(block: Block, *, anew: bool = False) -> Approximation:
         >>> print(start.summary())
         >>> result = jb.adjust(start.block)
     """
-    require_float64()
+    prepare_jax()
     require_a(Block, block, "approximate")
     _require_photographs(block)
     replaced = np.full(len(block.structure.image_names), anew)

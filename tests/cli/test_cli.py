@@ -14,7 +14,7 @@ import numpy as np
 import pytest
 from cases.simulated_blocks import small_block
 
-from jaxbundle.cli import adjusting, codes, demo, runtime
+from jaxbundle.cli import adjusting, codes, demo
 from jaxbundle.cli.interruption import Interruption
 from jaxbundle.cli.progress import HEADER, ProgressLines
 from jaxbundle.io import read, write_block_folder
@@ -353,22 +353,6 @@ def test_progress_on_a_terminal(monkeypatch, capsys):
         lines.iteration(Progress(2, 12.5, 2e-4, math.nan, False, 1.5))
     out, err = capsys.readouterr()
     assert out == "" and HEADER in err and "rejected" in err and "adjusting" in err and "nan" not in err
-
-
-def test_cache_is_in_the_users_cache_folder(monkeypatch, tmp_path):
-    monkeypatch.setenv("XDG_CACHE_HOME", str(tmp_path))
-    assert runtime.cache_folder() == tmp_path / "jaxbundle"
-    for given in ("", "relative"):
-        monkeypatch.setenv("XDG_CACHE_HOME", given)
-        assert runtime.cache_folder() == Path.home() / ".cache" / "jaxbundle"
-    monkeypatch.setenv("HOME", "relative")
-    assert runtime.cache_folder() is None
-
-    def homeless():
-        raise RuntimeError("Could not determine home directory.")
-
-    monkeypatch.setattr(Path, "home", homeless)
-    assert runtime.cache_folder() is None
 
 
 def test_runtime_is_in_double_precision_on_all_cores_and_keeps_programs(tmp_path):

@@ -4,6 +4,7 @@ import copy
 import dataclasses
 import json
 import sys
+from typing import Any
 
 import matplotlib
 import numpy as np
@@ -152,9 +153,11 @@ def test_iterations_and_comparison(result, report, ax):
 
 def test_new_axes_and_wrong_arguments(result):
     ax = jb.plot.iterations(result)
-    pyplot.close(ax.figure)
+    assert ax.get_ylabel()
+    pyplot.close("all")
+    wrong: Any = "result"
     with pytest.raises(TypeError, match="plot.images takes"):
-        jb.plot.images("result")
+        jb.plot.images(wrong)
 
 
 # Other forms
