@@ -1,4 +1,4 @@
-"""A photogrammetric bundle adjuster in JAX, with derivatives through everything.
+"""A photogrammetric bundle adjuster in JAX, differentiable with respect to all input values.
 
     import jax; jax.config.update("jax_enable_x64", True)
     import jaxbundle as jb
@@ -8,7 +8,7 @@
     print(result.summary())
     result.standard_deviations.object_points
 
-Names are loaded when they are first used: the help of the command line does not wait for JAX.
+Names are imported when they are first used: the help of the command line does not wait for JAX.
 """
 
 import importlib
@@ -216,7 +216,7 @@ _MODULES = {
     ),
     "textbook": ("crosscheck",),
 }
-# namespaces of their own, which may need packages that are not there
+# separate namespaces, which may need packages that are not installed
 _SUBMODULES = {"imagery": "imagery", "measuring": "measuring", "planning": "planning", "plot": "report.plot"}
 _HOME = {name: module for module, names in _MODULES.items() for name in names}
 

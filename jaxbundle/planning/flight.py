@@ -80,8 +80,11 @@ FRAME_CAMERA = AerialCamera()
 
 @dataclass(frozen=True)
 class Terrain:
-    """Heights of the ground. `relief`: range of random heights, each point with its own; `heights`: a function of X and
-    Y, arrays in object units, to which these are added."""
+    """Heights of the ground.
+
+    `relief`: range of random heights, each point with its own; `heights`: a function of X and Y, arrays in object
+    units, to which these are added.
+    """
 
     relief: float = 0.0
     heights: Callable[[np.ndarray, np.ndarray], np.ndarray] | None = None
@@ -93,9 +96,12 @@ class Terrain:
 
 @dataclass(frozen=True)
 class Ties:
-    """Tie points. `layout`: "shaken", a grid whose points are shifted at random, "grid", "random", or "schematic",
-    columns at the stations and `rows` rows per strip distance, among them the axes of the strips. Control and check
-    points of a schematic layout stand at the nearest tie points."""
+    """Tie points.
+
+    `layout`: "shaken", a grid whose points are shifted at random, "grid", "random", or "schematic", columns at the
+    stations and `rows` rows per strip distance, among them the axes of the strips. Control and check points of a
+    schematic layout stand at the nearest tie points.
+    """
 
     layout: str = "shaken"
     points_per_image: int = 60

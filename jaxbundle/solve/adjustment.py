@@ -30,8 +30,11 @@ DOWN_WEIGHTED = 0.5  # a robust weight below which a ray is listed
 
 
 class Iterations(NamedTuple):
-    """How the solve went. `measure` is the stopping rule's number at the last accepted step; `step`, |J d| / |v| of
-    the last one if it was not damped, else 0. `history`: every iteration; empty where the engine does not tell them."""
+    """How the solve went.
+
+    `measure` is the stopping rule's number at the last accepted step; `step`, |J d| / |v| of the last one if it was not
+    damped, else 0. `history`: every iteration; empty where the engine does not tell them.
+    """
 
     status: Int[Array, ""]
     trials: Int[Array, ""]

@@ -43,8 +43,11 @@ class Answer(NamedTuple):
 
 
 class Ended(NamedTuple):
-    """How a solve ended and what is wanted of its answer. `inspected`: whether "converged" and the determination of the
-    unknowns are checked where no standard deviations are computed."""
+    """How a solve ended and what is wanted of its answer.
+
+    `inspected`: whether "converged" and the determination of the unknowns are checked where no standard deviations are
+    computed.
+    """
 
     iterations: Iterations
     origin: Float[Array | np.ndarray, "3"]

@@ -321,7 +321,7 @@ def test_too_few_observations(tmp_path: Path) -> None:
     dropped("rays.csv", "021", "022", *(f"{i},{p}" for i in ("011", "012") for p in range(104, 113)))(folder)
     dropped("images.csv", "021", "022")(folder)
     change(folder, "block.toml", 29, 'control = "control.csv"', "")
-    with pytest.raises(BlockError, match="12 observations do not exceed 21 unknowns, 14 with the datum held: M > N"):
+    with pytest.raises(BlockError, match="12 observations do not exceed 21 unknowns, 14 with a fixed datum: M > N"):
         read_block_folder(folder)
 
 

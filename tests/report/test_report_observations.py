@@ -70,7 +70,7 @@ def test_significance_is_told_where_0_has_a_meaning(adjustment) -> None:
     (found,) = [finding for finding in findings(adjustment) if finding.kind is Kind.INSIGNIFICANT]
     held = {subject.names[0] for subject in found.subjects}
     assert held and held <= {name for name in told if parameters[name]["t"] < 2}
-    assert all(name in found.what for name in held) and found.cure == "hold them at 0"
+    assert all(name in found.what for name in held) and found.cure == "fix them at 0"
 
 
 def with_parameter_cofactors(adjustment, change_of):

@@ -104,8 +104,10 @@ def validated(path: Path, model: type[BaseModel], content: Any) -> Any:
 
 
 def elements(path: Path, *tags: str) -> Iterator[tuple[str, ElementTree.Element]]:
-    """Iterates over the elements of an XML file with one of these tags. Each element is yielded when it is complete and
-    then deleted: a file of any size needs the memory of one element. `root` as tag: the root, when it begins.
+    """Iterates over the elements of an XML file with one of these tags.
+
+    Each element is yielded when it is complete and then deleted: a file of any size needs the memory of one element.
+    `root` as tag: the root, when it begins.
 
     Raises: BlockError where the file is not XML, or has a document type, which is not read for safety.
     """
