@@ -230,7 +230,7 @@ def test_robust_weights_that_are_all_believed(simple) -> None:
 def test_robust_weights_that_did_not_settle(simple) -> None:
     unsettled = robust(simple, np.ones(len(simple.block.structure.ray_image)), settled=False)
     assert any(sentence.startswith("the robust weights were still changing after 7") for sentence in words(unsettled))
-    assert "7 rounds, which did not settle; 0 rays below 0.5" in unsettled.summary()
+    assert "7 rounds, which did not converge; 0 rays below 0.5" in unsettled.summary()
 
 
 def test_a_small_sigma0_of_robust_weights_says_nothing(simple) -> None:
