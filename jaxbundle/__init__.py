@@ -1,4 +1,4 @@
-"""A photogrammetric bundle adjuster in JAX, with derivatives through everything.
+"""A photogrammetric bundle adjuster in JAX, differentiable with respect to all input values.
 
     import jax; jax.config.update("jax_enable_x64", True)
     import jaxbundle as jb

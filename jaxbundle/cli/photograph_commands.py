@@ -1,6 +1,6 @@
-"""`jaxbundle measure` and `jaxbundle pyramid`: from photographs to rays.
+"""The commands `jaxbundle measure` and `jaxbundle pyramid`: from photographs to rays.
 
-The modules that do the work are loaded when a command is called.
+The modules of the measurement are imported when a command is called.
 """
 
 import importlib
@@ -15,7 +15,7 @@ def pyramid(
     out: Annotated[Path, typer.Option("--out", "-o", help="Folder of the pyramids.")] = Path("pyramids"),
     zlib: Annotated[bool, typer.Option("--zlib", help="Compress the tiles: smaller files, slower windows.")] = False,
 ) -> None:
-    """Make image pyramids: tiled TIFF with one sub-image for each level, found again by the next command."""
+    """Make image pyramids: tiled TIFF with one sub-image for each level; later commands reuse them."""
     measuring = importlib.import_module("jaxbundle.cli.pyramids")
     raise typer.Exit(measuring.run(paths, out, "zlib" if zlib else None))
 
@@ -24,10 +24,10 @@ def measure(
     images: Annotated[
         list[Path] | None, typer.Argument(metavar="IMAGES", help="Photographs, or folders of them.", show_default=False)
     ] = None,
-    out: Annotated[Path, typer.Option("--out", "-o", help="The block folder.")] = Path("block"),
+    out: Annotated[Path, typer.Option("--out", "-o", help="The block folder to write.")] = Path("block"),
     refine: Annotated[
         Path | None,
-        typer.Option(metavar="BLOCK", help="Measure the rays of this block again; needs --images.", show_default=False),
+        typer.Option(metavar="BLOCK", help="Remeasure the rays of this block; needs --images.", show_default=False),
     ] = None,
     folder: Annotated[
         Path | None,
@@ -35,7 +35,7 @@ def measure(
     ] = None,
     pyramids: Annotated[
         Path | None,
-        typer.Option(help="Folder of the image pyramids (default: beside the images).", show_default=False),
+        typer.Option(help="Folder of the image pyramids (default: in the folder of the images).", show_default=False),
     ] = None,
     positions: Annotated[
         Path | None,
@@ -50,10 +50,10 @@ def measure(
         float | None,
         typer.Option(metavar="MM", help="Width of the sensor, with the focal length of EXIF.", show_default=False),
     ] = None,
-    level: Annotated[int, typer.Option(min=0, help="Level of the pyramids on which points are found.")] = 1,
-    points: Annotated[int, typer.Option(min=64, help="Largest number of points found in an image.")] = 2048,
+    level: Annotated[int, typer.Option(min=0, help="Level of the pyramids for the detection of points.")] = 1,
+    points: Annotated[int, typer.Option(min=64, help="Maximum number of points detected in an image.")] = 2048,
 ) -> None:
-    """Measure tie points in photographs and write a block folder, or measure the rays of a block again."""
+    """Measure tie points in photographs and write a block folder, or remeasure the rays of a block."""
     importlib.import_module("jaxbundle.cli.runtime").start()
     measuring = importlib.import_module("jaxbundle.cli.measuring")
     if refine is not None:

@@ -7,14 +7,17 @@ import typer
 
 SOLVER = "Solver"  # headings in the help of adjust
 CLUSTER = "Cluster: one block on several machines"
-_A_BLOCK = "a block folder, a BAL file, or a project of another program, told apart by content"
+_A_BLOCK = "a block folder, a BAL file, or a project of another program, recognised by content"
 Block = Annotated[Path, typer.Argument(metavar="PATH", help=f"{_A_BLOCK.capitalize()}.", show_default=False)]
 Blocks = Annotated[list[Path], typer.Argument(metavar="PATH", help=f"Blocks: each {_A_BLOCK}.", show_default=False)]
 _SOURCES = "Projects of other programs"
 Form = Annotated[
     str,
     typer.Option(
-        "--format", help="The format of PATH, where its content fits several.", rich_help_panel=_SOURCES, metavar="NAME"
+        "--format",
+        help="The format of PATH, if its content fits several formats.",
+        rich_help_panel=_SOURCES,
+        metavar="NAME",
     ),
 ]
 Control = Annotated[
@@ -35,29 +38,35 @@ AttitudeSigma = Annotated[
     float | None,
     typer.Option(
         metavar="DEG",
-        help="Observe the attitudes that stations bring along with this standard deviation.",
+        help="Use the attitudes of the table of stations as observations with this standard deviation.",
         rich_help_panel=_SOURCES,
     ),
 ]
 Size = Annotated[
     str,
     typer.Option(
-        metavar="W,H", help="True size of the images in px, of formats that do not have it.", rich_help_panel=_SOURCES
+        metavar="W,H",
+        help="True size of the images in px, for formats that do not contain it.",
+        rich_help_panel=_SOURCES,
     ),
 ]
 Interior = Annotated[
     str,
     typer.Option(
-        metavar="F,X0,Y0", help="Interior orientation in px, of formats that do not have it.", rich_help_panel=_SOURCES
+        metavar="F,X0,Y0",
+        help="Interior orientation in px, for formats that do not contain it.",
+        rich_help_panel=_SOURCES,
     ),
 ]
 PixelSize = Annotated[
     float | None,
     typer.Option(
-        metavar="MM", help="Size of a pixel, of image coordinates in mm without one.", rich_help_panel=_SOURCES
+        metavar="MM", help="Pixel size in mm, for image coordinates in mm without one.", rich_help_panel=_SOURCES
     ),
 ]
-Chunk = Annotated[str, typer.Option(help="Label of the chunk of a Metashape project.", rich_help_panel=_SOURCES)]
+Chunk = Annotated[
+    str, typer.Option(help="Label of the chunk to read from a Metashape project.", rich_help_panel=_SOURCES)
+]
 Out = Annotated[
     Path | None,
     typer.Option(
@@ -71,8 +80,8 @@ Stop = Annotated[
     Literal["angle", "points", "parallax", "unknown"],
     typer.Option(
         rich_help_panel=SOLVER,
-        help="Stopping rule: angle between the residuals and the tangent plane; largest change of a point"
-        " coordinate; decrease of the largest y-parallax; largest change of the named unknowns.",
+        help="Stopping rule: angle between the residuals and the tangent plane; maximum change of a point"
+        " coordinate; decrease of the maximum y-parallax; maximum change of the named unknowns.",
     ),
 ]
 Limit = Annotated[
@@ -92,7 +101,7 @@ Coordinator = Annotated[
     str | None,
     typer.Option(
         metavar="HOST:PORT",
-        help="Address of process 0 of a cluster, the same for all, in a trusted network; auto: taken from Slurm,"
+        help="Address of process 0 of a cluster, the same for all processes, in a trusted network; auto: from Slurm,"
         " Open MPI or Kubernetes.",
         show_default=False,
         rich_help_panel=CLUSTER,

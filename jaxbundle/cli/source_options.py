@@ -1,11 +1,11 @@
-"""Options about projects of other programs, as the command line has them."""
+"""Options about projects of other programs as text of the command line."""
 
 from pathlib import Path
 from typing import NamedTuple
 
 
 class Told(NamedTuple):
-    """Options in text; `sources.sources_of` makes values of them."""
+    """Options as text; `sources.sources_of` converts them to values."""
 
     form: str = ""
     control: Path | None = None

@@ -1,4 +1,4 @@
-"""Options about projects of other programs, as values."""
+"""Conversion of the options about projects of other programs."""
 
 import math
 
@@ -10,9 +10,9 @@ from jaxbundle.io.formats.foreign_block import ReadOptions
 
 
 def sources_of(told: Told) -> Sources:
-    """The sources that options name.
+    """The sources of the options.
 
-    Raises: typer.BadParameter for a pair that is none.
+    Raises: typer.BadParameter for text that is not a pair of numbers.
     """
     size = _pair("--image-size", told.image_size)
     return Sources(
@@ -38,7 +38,7 @@ def _positive(option: str, value: float | None) -> float | None:
 
 
 def _interior(text: str) -> tuple[float, float, float] | None:
-    """Principal distance and principal point; None where nothing is given."""
+    """Principal distance and principal point; None if not given."""
     if not text:
         return None
     try:
@@ -51,7 +51,7 @@ def _interior(text: str) -> tuple[float, float, float] | None:
 
 
 def _pair(option: str, text: str) -> tuple[float, float] | None:
-    """Two positive numbers, or one for both; None where nothing is given."""
+    """Two positive numbers, or one for both; None if not given."""
     if not text:
         return None
     try:

@@ -1,7 +1,7 @@
-"""Blocks in files: `read_x(path) -> Block` and `write_x(block, path)` for every format; `read` tells them apart.
+"""Blocks in files: `read_x(path) -> Block` and `write_x(block, path)` for each format; `read` recognises the format.
 
-The formats of other programs are in `formats`; `write_format` writes them by name. `export` writes what maps, clouds
-and drawings show of results, by the modules of `results`.
+The formats of other programs are in `formats`; `write_format` writes them by name. `export` writes results as maps,
+point clouds and drawings; the modules of `results` implement it.
 """
 
 from jaxbundle.numerics.lazy_names import lazy_names

@@ -1,4 +1,4 @@
-"""Problems of a block that was read from a folder, with file and line: causes first, one line for each."""
+"""Problems of a block that was read from a folder, with file and line: causes first, one line for each problem."""
 
 import re
 
@@ -15,9 +15,9 @@ NUMBER = re.compile(r"\d+")
 
 
 def told_of(problems: list[Problem], block: Block, toml: BlockToml, tables: FolderTables, noted: Noted) -> None:
-    """Notes problems of the block, those alike as one, and before them what takes no part and may be their cause.
+    """Notes problems of the block, similar ones together; unused observations, which may be the cause, come first.
 
-    What follows from rows that are wrong is left out.
+    Problems that follow from wrong rows are left out.
     """
     structure = block.structure
     if not (problems or noted):
@@ -26,7 +26,7 @@ def told_of(problems: list[Problem], block: Block, toml: BlockToml, tables: Fold
     for finding in structure.findings:
         file, line = _place_of(finding, tables)
         unused = finding.kind in (Kind.NOT_USED, Kind.UNUSED) and finding.severity < Severity.NOTE
-        if unused and file not in wrong:  # else it may follow from what is wrong there
+        if unused and file not in wrong:  # else it may follow from those problems
             noted.add_cause(file, line, finding.what, finding.cure)
     alike: dict[tuple[str, str, str], list[tuple[Problem, str]]] = {}
     for problem in problems:
@@ -81,7 +81,7 @@ def _place(problem: Problem, block: Block, toml: BlockToml, tables: FolderTables
 
 
 def _place_of_point(point: int, structure: Structure, tables: FolderTables) -> tuple[str, int]:
-    """Where a point is first seen; of one on no image, where its coordinates stand."""
+    """File and line of the first ray of a point; for a point on no image, of its coordinates."""
     rays = np.flatnonzero(structure.ray_point == point)
     if len(rays):
         return tables.rays.table.file, int(tables.rays.table.lines[rays[0]])

@@ -1,6 +1,6 @@
-"""Navigation data, read and written: `group` and `time` of stations.csv and attitudes.csv, and [navigation.NAME].
+"""Reading and writing navigation data: `group` and `time` of stations.csv and attitudes.csv, and [navigation.NAME].
 
-Times count from the mean of their group: shift and drift are those at that time.
+Times count from the mean of their group: shift and drift refer to that epoch.
 """
 
 from collections.abc import Mapping
@@ -23,8 +23,8 @@ from jaxbundle.io.settings import NavigationSection
 from jaxbundle.io.tables import Columns, Table
 
 SYSTEMATIC = {schema.name: schema.systematic for schema in TABLES.values() if schema.systematic}
-Numbers = tuple[int, ...]  # of the nine parameters of a group
-CENTRED = 1e-9  # of the span of the times: a mean below it is 0 but for rounding
+Numbers = tuple[int, ...]  # number of parameters of a group
+CENTRED = 1e-9  # share of the span of the times: a mean below it is 0 up to rounding
 
 
 @dataclass(frozen=True)
@@ -38,7 +38,7 @@ class NavigationRows:
 
 @dataclass(frozen=True)
 class Navigation:
-    """Rows of both tables, as far as they are given; `origin` is the mean time of each group."""
+    """Rows of both tables, where given; `origin` is the mean time of each group."""
 
     rows: dict[str, NavigationRows]
     names: tuple[str, ...]
@@ -66,7 +66,7 @@ def navigation(tables: Mapping[str, Table], toml: BlockToml) -> Navigation:
 
 
 def _groups(table: Table, names: tuple[str, ...]) -> Int[np.ndarray, " row"]:
-    """The number of each row's group; a name that block.toml does not have is noted."""
+    """The number of each row's group; names that are not in block.toml are noted."""
     wanted = table.column("group").to_list()
     number = {name: k for k, name in enumerate(names)}
     unknown: dict[str, list[int]] = {}
@@ -82,7 +82,7 @@ def _groups(table: Table, names: tuple[str, ...]) -> Int[np.ndarray, " row"]:
 def _require_times(
     kind: str, table: Table, group: Int[np.ndarray, " row"], times: Float[np.ndarray, " row"], toml: BlockToml
 ) -> None:
-    """Notes a group with a drift whose times are not known or all the same."""
+    """Notes groups with a drift whose times are unknown or all equal."""
     sections = toml.settings.navigation if toml.settings else None
     drift = next(name for name in SYSTEMATIC[kind] if name.endswith("drift"))
     for k, (name, section) in enumerate((sections or {}).items()):
@@ -92,26 +92,26 @@ def _require_times(
         missing = rows[np.isnan(times[rows]) & (table.column("time").to_numpy()[rows] == "")]
         if len(missing):
             table.note(
-                int(missing[0]), f"group {name} has a {drift} and the row no time", "give the time in a column time"
+                int(missing[0]), f"group {name} has a {drift} and the row has no time", "give the time in a column time"
             )
         elif len(rows) and drift not in (section.priors or {}) and np.ptp(times[rows]) == 0:
-            what = f"group {name} has a {drift} to estimate and all its times are the same"
-            table.note(int(rows[0]), what, f"give its true times, a prior of the {drift}, or hold it")
+            what = f"group {name} has a {drift} to estimate and all its times are equal"
+            table.note(int(rows[0]), what, f"give its true times, a prior of the {drift}, or do not estimate it")
 
 
 def section_of(toml: BlockToml, name: str) -> NavigationSection:
-    """The section of a group; where there is none, or it is wrong, one without systematic errors."""
+    """The section of a group; a section without systematic errors where it is missing or wrong."""
     sections = toml.settings.navigation if toml.settings else None
     return (sections or {}).get(name) or NavigationSection()
 
 
 def navigation_kind(kind: str, system: str) -> ObservationKind:
-    """The observations of a table that have systematic errors."""
+    """The kind of observation of a table that has systematic errors."""
     return GNSS if kind == "stations" else ATTITUDES[system]
 
 
 def unit_of(kind: str, lengths: str, angles: str) -> tuple[float, str]:
-    """Size and name of the unit of a table, of the two units of a folder."""
+    """Size and name of the unit of a table: the object unit or the angle unit."""
     return (RADIANS[angles], angles) if kind == "attitudes" else (1.0, lengths)
 
 
@@ -121,7 +121,7 @@ def axes_of(kind: str, system: str) -> tuple[str, ...]:
 
 
 def parameter_name(vector: str, axis: str, group: str) -> str:
-    """Such as "shift X of strip 1"."""
+    """Name of a parameter, such as "shift X of strip 1"."""
     return f"{vector} {axis}{f' of {group}' if group else ''}"
 
 
@@ -131,7 +131,7 @@ def _group(block: Block, kind: str) -> ObservationGroup | None:
 
 
 def navigation_columns(block: Block) -> dict[str, Columns]:
-    """stations.csv and attitudes.csv; those of no group first."""
+    """The tables stations.csv and attitudes.csv; rows without group first."""
     tables: dict[str, Columns] = {}
     plain = next((group for group in block.groups if group.structure.kind == STATIONS), None)
     grouped, attitudes = _group(block, "stations"), _group(block, "attitudes")
@@ -150,7 +150,7 @@ def _together(parts: list[Any]) -> Any:
 
 
 def _rows(block: Block, group: ObservationGroup, kind: str) -> Columns:
-    """Rows of a table; no group and no time where the kind has no parameters."""
+    """Rows of a table; without group and time where the kind has no parameters."""
     structure, columns = group.structure, axes_of(kind, block.structure.rotation_system.name)
     factor, _ = unit_of(kind, block.structure.object_unit, block.structure.angle_unit)
     values, sigmas = (np.where(structure.observed, x, np.nan) / factor for x in (group.values, group.sigmas))
@@ -178,7 +178,7 @@ def group_names(block: Block, kind: str) -> dict[Numbers, str]:
 
 
 def _name(block: Block, kind: str, numbers: Numbers) -> str | None:
-    """The name that its parameters were given when they were read; None where they have other names."""
+    """The name of a group from the names of its parameters; None where these have another form."""
     parameters = [block.structure.parameters[p] for p in numbers]
     name = parameters[0].name.partition(" of ")[2]
     system = block.structure.rotation_system.name
@@ -190,7 +190,7 @@ def _name(block: Block, kind: str, numbers: Numbers) -> str | None:
 
 
 def navigation_sections(block: Block) -> dict[str, dict[str, Any]]:
-    """[navigation.NAME] of every group, in the order of their parameters."""
+    """The section [navigation.NAME] of each group, in the order of the parameters."""
     priors, sections = priors_of(block), {}
     named = [(numbers, name, kind) for kind in SYSTEMATIC for numbers, name in group_names(block, kind).items() if name]
     for numbers, name, kind in sorted(named):
@@ -212,7 +212,7 @@ def _vectors(kind: str, numbers: Numbers) -> list[tuple[str, Numbers]]:
 
 
 def navigation_problems(block: Block) -> list[Problem]:
-    """Systematic errors that are unknown in part, or shared by groups."""
+    """Problems of systematic errors that are partly unknown, or shared by groups."""
     priors, parameters = priors_of(block), block.structure.parameters
     problems, owner = [], {}
     for kind in SYSTEMATIC:
@@ -221,11 +221,13 @@ def navigation_problems(block: Block) -> list[Problem]:
                 free, sigmas = {parameters[p].free for p in three}, {p: priors[p].sigma for p in three if p in priors}
                 first = parameters[three[0]].name
                 if any(owner.setdefault(p, (kind, numbers)) != (kind, numbers) for p in three):
-                    cure = "give each group parameters of its own"
+                    cure = "give each group its own parameters"
                     problems.append(Problem(f"parameter {first} belongs to several groups", cure, kind))
                 elif len(free) > 1 or len(sigmas) not in (0, 3) or len(set(sigmas.values())) > 1:
-                    what = f"the components of {vector}, {first} and its kin, are not all unknown with one sigma"
-                    problems.append(Problem(what, "the format knows them together only", kind))
+                    what = f"the three components of {vector}, such as {first}, are not all unknown with one sigma"
+                    problems.append(
+                        Problem(what, "the format supports only equal settings for the three components", kind)
+                    )
                 elif sigmas and not all(free):
-                    problems.append(Problem(f"parameter {first} is observed and held", "make it unknown", kind))
+                    problems.append(Problem(f"parameter {first} is both observed and fixed", "make it unknown", kind))
     return problems

@@ -1,4 +1,4 @@
-"""Reading a block of any known form, told apart by content."""
+"""Reading a block in any known format; the format is recognised by the content."""
 
 from pathlib import Path
 
@@ -18,13 +18,13 @@ KNOWN = f"give a folder with {FILE}, a BAL text file, or one of: {', '.join(READ
 
 
 def read(path: str | Path, *, check_start: bool = True, sources: Sources | None = None) -> Block:
-    """The block in a block folder, also named by its block.toml, in a BAL file, or in a format of another program.
+    """Reads a block from a block folder or its block.toml, from a BAL file, or from a format of another program.
 
-    `check_start`: judge its numbers, and replace absurd approximate values where that is beyond doubt; what was found
-    stands in `structure.findings`. `sources`: of a block of another program, its format and the tables of control and
-    stations beside it.
+    `check_start`: check the numbers, and replace absurd approximate values where that is beyond doubt; the findings
+    are in `structure.findings`. `sources`: for a block of another program, its format and additional tables of
+    control and stations.
 
-    Raises: BlockError with all that is wrong, or where the path is none of them.
+    Raises: BlockError with all problems, or where the path has no known format.
 
     Example:
 
@@ -44,16 +44,16 @@ def read(path: str | Path, *, check_start: bool = True, sources: Sources | None 
 
 
 def _require_alone(path: Path, sources: Sources) -> None:
-    """Raises BlockError where tables are given beside a form that has its own."""
+    """Raises BlockError where additional tables are given for a format with its own tables."""
     if sources.control or sources.stations:
-        what = f"{shown(str(path))} is a block folder or a BAL file; tables beside it are not read"
+        what = f"{shown(str(path))} is a block folder or a BAL file; additional tables are not read"
         raise BlockError([Problem(what, "put control.csv and stations.csv into a block folder (jaxbundle convert)")])
 
 
 def _format(path: Path, sources: Sources) -> Format | None:
     """The foreign format of a path; None for a block folder or a BAL file.
 
-    Raises: BlockError where it is neither, or several.
+    Raises: BlockError where it has no known format, or several.
     """
     if sources.format:
         form = FORMATS.get(sources.format)
@@ -79,12 +79,12 @@ def _format(path: Path, sources: Sources) -> Format | None:
     if forms:
         names = ", ".join(form.name for form in forms)
         what = f"{path} is {' and '.join(form.words for form in forms)}"
-        raise BlockError([Problem(what, f"say which one with --format, one of: {names}")])
+        raise BlockError([Problem(what, f"choose one with --format, one of: {names}")])
     raise _unknown_folder(path) if path.is_dir() else _unknown_file(path, head)
 
 
 def _recognised(path: Path) -> list[Format]:
-    """The formats of a path that is named in a message only; none where it cannot be looked at."""
+    """The formats of a path for use in a message; none where it cannot be read."""
     try:
         return recognised(path)
     except OSError:
@@ -99,7 +99,7 @@ def _unknown_file(path: Path, head: bytes) -> BlockError:
         known, cure = f"is a file of {form.words}", f"give the folder {path.parent}"
     elif known:
         known = f"{known}, which is not read"
-    return BlockError([Problem(f"{path} {known or 'is in no known form'}", cure)])
+    return BlockError([Problem(f"{path} {known or 'has an unknown format'}", cure)])
 
 
 def _unknown_folder(folder: Path) -> BlockError:
@@ -108,7 +108,7 @@ def _unknown_folder(folder: Path) -> BlockError:
         return BlockError([Problem(f"{folder} is {known}, which is not read, or not complete", KNOWN)])
     if (folder / "rays.csv").is_file():
         cure = f"write {FILE}: units, rotation system, cameras, sigma and the names of the tables"
-        return BlockError([Problem(f"folder {folder} has tables and no {FILE}", cure)])
+        return BlockError([Problem(f"folder {folder} has tables but no {FILE}", cure)])
     below = sorted(path.parent.name for path in folder.glob(f"*/{FILE}"))
     below = below or sorted(path.name for path in folder.glob("*") if path.is_dir() and _recognised(path))
     cure = f"give one of its folders: {', '.join(below[:10])}" if below else KNOWN

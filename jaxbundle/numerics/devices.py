@@ -41,8 +41,11 @@ def dealt(value: Any, devices: int, axis: int = 0) -> Array:
 
 
 def meet() -> None:
-    """Waits for all processes. Devices that exchange anything for the first time must do so within 30 s of each other
-    (gloo), which processes that read and compile at their own pace would miss."""
+    """Waits for all processes.
+
+    Devices that exchange anything for the first time must do so within 30 s of each other (gloo), which processes that
+    read and compile at their own pace would miss.
+    """
     if jax.process_count() > 1:
         multihost_utils.sync_global_devices("jaxbundle")
 

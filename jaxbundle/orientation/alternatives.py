@@ -24,8 +24,11 @@ TURNS = (180.0, 90.0, -90.0)  # deg
 
 
 class Alternative(NamedTuple):
-    """`words`: what would be so. `of`: "rays", "attitudes", "stations", "object" or "both". `component`: of the image
-    or ray. `usual`: a mistake that is made often; others are believed only where no usual one explains as much."""
+    """`words`: what would be so.
+
+    `of`: "rays", "attitudes", "stations", "object" or "both". `component`: of the image or ray. `usual`: a mistake that
+    is made often; others are believed only where no usual one explains as much.
+    """
 
     words: str
     of: str

@@ -80,8 +80,11 @@ FRAME_CAMERA = AerialCamera()
 
 @dataclass(frozen=True)
 class Terrain:
-    """Heights of the ground. `relief`: range of random heights, each point with its own; `heights`: a function of X and
-    Y, arrays in object units, to which these are added."""
+    """Heights of the ground.
+
+    `relief`: range of random heights, each point with its own; `heights`: a function of X and Y, arrays in object
+    units, to which these are added.
+    """
 
     relief: float = 0.0
     heights: Callable[[np.ndarray, np.ndarray], np.ndarray] | None = None
@@ -93,9 +96,12 @@ class Terrain:
 
 @dataclass(frozen=True)
 class Ties:
-    """Tie points. `layout`: "shaken", a grid whose points are shifted at random, "grid", "random", or "schematic",
-    columns at the stations and `rows` rows per strip distance, among them the axes of the strips. Control and check
-    points of a schematic layout stand at the nearest tie points."""
+    """Tie points.
+
+    `layout`: "shaken", a grid whose points are shifted at random, "grid", "random", or "schematic", columns at the
+    stations and `rows` rows per strip distance, among them the axes of the strips. Control and check points of a
+    schematic layout stand at the nearest tie points.
+    """
 
     layout: str = "shaken"
     points_per_image: int = 60
@@ -241,7 +247,7 @@ def plan_problems(plan: FlightPlan) -> list[str]:
     else:
         found.append(f"no camera model '{camera.distortion}'; there are {', '.join(CAMERA_MODELS)}")
     positive = {"height": plan.height, "image sigma": plan.sigma, "tie points per image": plan.ties.points_per_image}
-    found += [f"the {name} is {value}; give a positive one" for name, value in positive.items() if not value > 0]
+    found += [f"the {name} is {value}; give a positive number" for name, value in positive.items() if not value > 0]
     found += [
         f"a cross strip at {x} of the length; give shares from 0 to 1" for x in plan.cross_strips if not 0 <= x <= 1
     ]

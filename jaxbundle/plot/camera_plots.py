@@ -23,13 +23,13 @@ def residual_field(
     Args:
         result: the adjustment.
         camera: its name or index.
-        bins: rows and columns of the grid at most; of few rays the cells are larger.
+        bins: maximum number of rows and columns of the grid; with few rays the cells are larger.
         ax: the axes to draw into; new ones if None.
-        style: of the arrows, as `Axes.quiver` takes it.
+        style: keywords of `Axes.quiver` for the arrows.
 
     Returns: the axes.
 
-    Raises: ValueError for a camera that is not there.
+    Raises: ValueError for an unknown camera.
     """
     figures, ax = begin(result, ax, "residual_field")
     c = index_of(camera, figures.camera_names, "camera")
@@ -47,7 +47,7 @@ def residual_field(
 
 
 def distortion(result: Adjustment, camera: str | int = 0, *, ax: Axes | None = None, **style: Any) -> Axes:
-    """Draws the radial distortion of a camera with a band of one standard deviation. Else as `residual_field`.
+    """Draws the radial distortion of a camera with a band of one standard deviation. Arguments as for `residual_field`.
 
     Raises: ValueError also for a camera model without radial coefficients.
     """
@@ -66,7 +66,7 @@ def distortion(result: Adjustment, camera: str | int = 0, *, ax: Axes | None = N
 
 
 def correlations(result: Adjustment, camera: str | int = 0, *, ax: Axes | None = None, **style: Any) -> Axes:
-    """Draws the correlations of the estimated elements of a camera, with their numbers. Else as `residual_field`.
+    """Draws the correlations of the estimated elements of a camera, with their numbers. Else as for `residual_field`.
 
     Raises: ValueError also where fewer than two elements are estimated, or no standard deviations were computed.
     """

@@ -15,13 +15,13 @@ OF_IMAGES = {"rms": "rms w / sigma0", "largest": "largest w / sigma0", "rays": "
 
 
 def residual_histogram(result: Adjustment, *, log: bool = False, ax: Axes | None = None, **style: Any) -> Axes:
-    """Draws the histogram of w / sigma0 of the rays, x and y apart, with the normal distribution.
+    """Draws histograms of w / sigma0 of the rays for x and y, with the normal distribution.
 
     Args:
         result: the adjustment.
-        log: whether the numbers stand on a logarithmic scale.
+        log: whether the counts have a logarithmic scale.
         ax: the axes to draw into; new ones if None.
-        style: of the steps, as `Axes.stairs` takes it.
+        style: keywords of `Axes.stairs` for the steps.
 
     Returns: the axes.
     """
@@ -42,9 +42,9 @@ def residual_histogram(result: Adjustment, *, log: bool = False, ax: Axes | None
 
 
 def images(result: Adjustment, what: str = "rms", *, ax: Axes | None = None, **style: Any) -> Axes:
-    """Draws a number of every image in its order: "rms", "largest", "rays" or "coverage". Else as `residual_histogram`.
+    """Draws one number of each image in order: "rms", "largest", "rays" or "coverage". Else as `residual_histogram`.
 
-    Raises: ValueError for another word.
+    Raises: ValueError for any other `what`.
     """
     if what not in OF_IMAGES:
         raise ValueError(f"what={what!r} is not one of {', '.join(OF_IMAGES)}")
@@ -67,7 +67,7 @@ def image_residuals(
 ) -> Axes:
     """Draws the residuals of one image as arrows at its points, enlarged by `factor`; matplotlib's choice if None.
 
-    Raises: ValueError for an image that is not there.
+    Raises: ValueError for an unknown image.
     """
     figures, ax = begin(result, ax, "image_residuals")
     structure = figures.structure
@@ -105,7 +105,7 @@ def redundancy(result: Adjustment, *, ax: Axes | None = None, **style: Any) -> A
 
 
 def iterations(result: Adjustment, *, ax: Axes | None = None, **style: Any) -> Axes:
-    """Draws v^T P v after every iteration, damping and step below it, on a logarithmic scale. Else as `redundancy`."""
+    """Draws v^T P v after each iteration, with damping and step, on a logarithmic scale. Else as for `redundancy`."""
     _, ax = begin(result, ax, "iterations")
     history = result.iterations.history
     rows = np.flatnonzero(~np.isnan(np.asarray(history.damping)))
@@ -120,8 +120,10 @@ def iterations(result: Adjustment, *, ax: Axes | None = None, **style: Any) -> A
 
 
 def doming(result: Adjustment, *, ax: Axes | None = None, **style: Any) -> Axes:
-    """Draws the differences in height at control and check points over the distance from the middle of the block, with
-    the fitted paraboloid dZ = a + b r^2: a bowl or a dome shows the distortion that the camera model leaves.
+    """Draws the differences in height at control and check points over the distance from the centre of the block.
+
+    With the fitted paraboloid dZ = a + b r^2: a bowl or a dome indicates distortion that the camera model does not
+    contain.
 
     Raises: ValueError for fewer than three differences.
     """
@@ -136,7 +138,7 @@ def doming(result: Adjustment, *, ax: Axes | None = None, **style: Any) -> Axes:
     r = np.linspace(0.0, float(found.radius.max()), 60)
     ax.plot(r, found.level + found.curvature * r**2, "k--", linewidth=1, label="paraboloid")
     unit = figures.structure.object_unit
-    ax.set_xlabel(f"distance from the middle of the block [{unit}]")
+    ax.set_xlabel(f"distance from the centre of the block [{unit}]")
     ax.set_ylabel(f"dZ [{unit}]")
     ax.set_title(f"curvature {found.curvature:.3g} (sd {found.sd:.2g}) per {unit}", fontsize="medium")
     ax.legend(fontsize="small")

@@ -1,4 +1,4 @@
-"""Two results in matplotlib."""
+"""Drawing a comparison of two results in matplotlib."""
 
 from typing import Any
 
@@ -13,17 +13,17 @@ from jaxbundle.report.figures import figures_of
 from jaxbundle.report.sections import sections_of
 from jaxbundle.solve.adjustment import Adjustment
 
-WIDEST = 6.0  # of the classes of t
+WIDEST = 6.0  # edges of the classes of t
 
 
 def compare(first: Adjustment, second: Adjustment, *, ax: Axes | None = None, **style: Any) -> Axes:
-    """Draws the histogram of the differences of point coordinates, second less first, over their standard deviations.
+    """Draws a histogram of differences of point coordinates, second - first, over their standard deviations.
 
     Args:
         first: an adjustment.
-        second: another one, with points of the same names.
+        second: another one, with the same names of points.
         ax: the axes to draw into; new ones if None.
-        style: of the steps, as `Axes.stairs` takes it.
+        style: keywords of `Axes.stairs` for the steps.
 
     Returns: the axes.
 
@@ -45,7 +45,7 @@ def compare(first: Adjustment, second: Adjustment, *, ax: Axes | None = None, **
 
 
 def _data(result: Adjustment) -> dict[str, Any]:
-    """What report.json tells of a result, without its findings: to look for them takes longer than to draw."""
+    """The content of report.json without the findings, because their computation takes longer than drawing."""
     require_a(Adjustment, result, "plot.compare")
     figures = figures_of(result, ())
     return dict_of(figures, [section() for section in sections_of(figures)])

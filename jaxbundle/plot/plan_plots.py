@@ -15,13 +15,13 @@ from jaxbundle.solve.adjustment import Adjustment
 
 
 def block(result: Adjustment, *, outlines: bool = True, ax: Axes | None = None, **style: Any) -> Axes:
-    """Draws the block from above: stations, outlines of the images, control, check and tie points.
+    """Draws the block in plan view: stations, outlines of the images, control, check and tie points.
 
     Args:
         result: the adjustment.
         outlines: whether the area of the points of each image is drawn.
         ax: the axes to draw into; new ones if None.
-        style: of the tie points, as `Axes.plot` takes it.
+        style: keywords of `Axes.plot` for the tie points.
 
     Returns: the axes.
     """
@@ -42,15 +42,15 @@ def block(result: Adjustment, *, outlines: bool = True, ax: Axes | None = None, 
 
 
 def control(result: Adjustment, *, factor: float | None = None, ax: Axes | None = None, **style: Any) -> Axes:
-    """Draws the residuals of control points: arrows in X and Y, bars in Z, adjusted less observed.
+    """Draws the residuals of control points: arrows in X and Y, bars in Z, adjusted - observed.
 
-    `factor`: by which they are enlarged, that of the report if None. Arguments and return else as `block`.
+    `factor`: enlargement, that of the report if None. Other arguments and the result as for `block`.
     """
     return _differences(result, "control", factor, ax, style)
 
 
 def check(result: Adjustment, *, factor: float | None = None, ax: Axes | None = None, **style: Any) -> Axes:
-    """Draws the differences at check points: arrows in X and Y, bars in Z, adjusted less known. Else as `control`."""
+    """Draws the differences at check points: arrows in X and Y, bars in Z, adjusted - known. Else as for `control`."""
     return _differences(result, "check", factor, ax, style)
 
 
@@ -78,7 +78,7 @@ def _differences(result: Adjustment, kind: str, factor: float | None, ax: Axes |
 
 
 def ellipses(result: Adjustment, *, factor: float = 1000.0, ax: Axes | None = None, **style: Any) -> Axes:
-    """Draws the error ellipses of the stations, one standard deviation, enlarged by `factor`. Else as `block`.
+    """Draws the error ellipses of the stations, one standard deviation, enlarged by `factor`. Else as for `block`.
 
     Raises: ValueError where there are no standard deviations.
     """
@@ -100,7 +100,7 @@ def ellipses(result: Adjustment, *, factor: float = 1000.0, ax: Axes | None = No
 
 
 def connections(result: Adjustment, *, least: int = 1, ax: Axes | None = None, **style: Any) -> Axes:
-    """Draws the connections of the images with `least` common points or more; weak ones are dashed. Else as `block`."""
+    """Draws connections of images with at least `least` common points; weak ones are dashed. Else as for `block`."""
     figures, ax = begin(result, ax, "connections")
     found, xy = network.connections(figures), known(figures.exterior[:, :2])
     kept = found.common >= least
@@ -114,7 +114,7 @@ def connections(result: Adjustment, *, least: int = 1, ax: Axes | None = None, *
 
 
 def precision_map(result: Adjustment, component: str = "Z", *, ax: Axes | None = None, **style: Any) -> Axes:
-    """Draws the median standard deviation of X, Y or Z over the block, on a logarithmic scale. Else as `block`."""
+    """Draws the median standard deviation of X, Y or Z over the block, on a logarithmic scale. Else as for `block`."""
     figures, ax = begin(result, ax, "precision_map")
     found = point_pictures.precision_map(figures, component)
     if not np.isfinite(found.median).any():

@@ -1,4 +1,4 @@
-"""What all plots begin with: the figures of a result, and axes to draw into."""
+"""Common start of all plots: the numbers of a result, and axes to draw into."""
 
 from typing import Any
 
@@ -14,11 +14,11 @@ try:
 except ModuleNotFoundError as error:
     raise ModuleNotFoundError("jb.plot needs matplotlib: pip install 'jaxbundle[plot]'") from error
 
-INTERNAL, EXTERNAL, PLAIN = "#005a9c", "#b84a05", "#7c8890"  # told apart by the colour-blind, as in the report
+INTERNAL, EXTERNAL, PLAIN = "#005a9c", "#b84a05", "#7c8890"  # suitable for colour-blind readers, as in the report
 
 
 def begin(result: Adjustment, ax: Axes | None, name: str) -> tuple[Figures, Axes]:
-    """The figures of a result without its findings, and the axes, new ones if there are none."""
+    """The numbers of a result without findings, and the axes; new axes if None."""
     require_a(Adjustment, result, f"plot.{name}")
     require_photographs(result.block, f"plot.{name}")
     with np.errstate(all="ignore"):
@@ -26,14 +26,14 @@ def begin(result: Adjustment, ax: Axes | None, name: str) -> tuple[Figures, Axes
 
 
 def new_axes(ax: Axes | None) -> Axes:
-    """The axes, new ones if there are none."""
+    """The given axes, or new ones if None."""
     return pyplot.subplots(layout="constrained")[1] if ax is None else ax
 
 
 def plan_view(ax: Axes, unit: str) -> Axes:
-    """Equal scales, and the unit at both axes."""
+    """Sets equal scales and labels both axes with the unit."""
     ax.set_aspect("equal", adjustable="datalim")
-    ax.margins(0.12)  # arrows and ellipses take no part in the limits
+    ax.margins(0.12)  # arrows and ellipses do not affect the limits
     ax.set_xlabel(f"X [{unit}]")
     ax.set_ylabel(f"Y [{unit}]")
     return ax
@@ -42,7 +42,7 @@ def plan_view(ax: Axes, unit: str) -> Axes:
 def index_of(name: str | int, names: tuple[str, ...], what: str) -> int:
     """The index of a camera or an image by its name, or the index itself.
 
-    Raises: ValueError for a name that is not there.
+    Raises: ValueError for an unknown name.
     """
     if isinstance(name, int | np.integer) and 0 <= name < len(names):
         return int(name)
@@ -52,5 +52,5 @@ def index_of(name: str | int, names: tuple[str, ...], what: str) -> int:
 
 
 def styled(style: dict[str, Any], **defaults: Any) -> dict[str, Any]:
-    """What the caller wants, else the defaults."""
+    """The keywords of the caller, with defaults for the others."""
     return {**defaults, **style}

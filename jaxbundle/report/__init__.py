@@ -1,8 +1,8 @@
-"""Results in words, tables and pictures: pure functions of an adjustment, and those that write them.
+"""Reports of results: texts, tables and pictures as pure functions of an adjustment, and functions that write them.
 
-sections         what a report consists of, made once; text, data, files and html render it
-pictures         the numbers of the pictures, which html and plot draw alike
-html             the page; `jaxbundle.plot` draws the same pictures in matplotlib
+sections         the content of a report; text, data, files and html render it
+pictures         the numbers of the pictures, drawn by html and plot
+html             the HTML page; `jaxbundle.plot` draws the same pictures in matplotlib
 comparison       two results of one block, or two surveys of the same points
 point_cloud      point clouds for viewers
 made             program, date, command and inputs

@@ -1,4 +1,4 @@
-"""Points and stations as PLY, for viewers of point clouds such as CloudCompare and MeshLab."""
+"""Writing points and stations as PLY, for viewers of point clouds such as CloudCompare and MeshLab."""
 
 from pathlib import Path
 
@@ -14,8 +14,8 @@ from jaxbundle.report.pictures.plan_picture import plan
 from jaxbundle.report.pictures.ray_pictures import image_format, standardised
 from jaxbundle.solve.adjustment import Adjustment
 
-ROUND = 1000.0  # an offset is a multiple of it: single precision, as viewers have it, then leaves 0.1 mm and better
-FRUSTUM = 0.08  # height of the pyramid of an image over the distance to its points
+ROUND = 1000.0  # offsets are multiples of it: the single precision of viewers then resolves 0.1 mm or better
+FRUSTUM = 0.08  # height of the pyramid of an image as a share of the distance to its points
 POINT = np.dtype(
     [
         *((name, "<f8") for name in ("x", "y", "z")),
@@ -33,13 +33,13 @@ def to_ply(result: Adjustment, path: str | Path, stations: str | Path | None = N
 
     Args:
         result: a concrete adjustment.
-        path: file of the points: coordinates less the offset that a comment names, standard deviations, all in the
-            object unit, number of rays, largest |w| / sigma0 of the rays, and class (0 tie, 1 control, 2 check point).
+        path: file of the points: coordinates minus the offset that a comment contains, standard deviations, all in the
+            object unit, number of rays, maximum |w| / sigma0 of the rays, and class (0 tie, 1 control, 2 check point).
         stations: file of the stations as pyramids of edges; none if None.
 
     Returns: the path of the points.
 
-    Raises: TypeError for what is not an adjustment; OSError where a file cannot be written.
+    Raises: TypeError for other objects; OSError where a file cannot be written.
 
     Example:
         jb.report.to_ply(result, "points.ply", stations="stations.ply")

@@ -1,15 +1,15 @@
-"""A folder of results that takes the place of an earlier one as a whole.
+"""Replacing a folder of earlier results by a new one as a whole.
 
-The new folder is written beside its place, in a hidden folder, and then the two exchange their names in one step of the
-file system. What does not belong to the results moves over from the old folder to the new one. A folder that cannot be
-renamed (a mount point, the current folder, a folder of another user) has its files replaced one by one, report.json
-last; if that is interrupted, the next run completes it. So whatever is interrupted, at any moment, `tidy` puts in
-order, and it is called at the beginning and at the end of every replacement.
+The new folder is written in a hidden folder next to the target, and then both exchange their names in one step of the
+file system. Files that do not belong to the results are moved from the old folder to the new one. If a folder cannot be
+renamed (a mount point, the current folder, a folder of another user), its files are replaced one by one, report.json
+last; if that is interrupted, the next run completes it. `tidy` repairs the state after any interruption; it is called
+at the beginning and at the end of each replacement.
 
-    hidden folder    files.json   what the results consist of, and where they belong
-                     new/         the new results, after the exchange the old ones
+    hidden folder    files.json   names of the result files, and of the target
+                     new/         the new results; after the exchange, the old ones
                      old/         the old results, where the file system cannot exchange two names
-                     ready        the files of `new` are being moved one by one
+                     ready        marks that the files of `new` are moved one by one
 """
 
 import ctypes
@@ -31,8 +31,8 @@ _RECORD, _NEW, _OLD, _READY = "files.json", "new", "old", "ready"
 _AT_FOLDER, _EXCHANGE = -100, 2  # AT_FDCWD and RENAME_EXCHANGE of Linux's renameat2
 _TRIAL = bytes(4096)  # a block of most file systems
 _REASONS = {
-    errno.EACCES: "you may not write there",
-    errno.EPERM: "you may not write there",
+    errno.EACCES: "no permission to write there",
+    errno.EPERM: "no permission to write there",
     errno.EROFS: "the file system is read-only",
     errno.ENOSPC: "no space is left there",
     errno.EDQUOT: "your quota of space is used up",
@@ -41,17 +41,17 @@ _REASONS = {
 
 
 class Record(NamedTuple):
-    """What a hidden folder is for."""
+    """Purpose of a hidden folder: target and files."""
 
-    target: str  # name of the folder beside the hidden one; "" for the folder that the hidden one is in
+    target: str  # name of the folder next to the hidden one; "" for the folder that contains the hidden one
     names: list[str]  # files of the new results
-    files: list[str]  # those and the files of the earlier results
+    files: list[str]  # these and the files of the earlier results
 
 
 def require_writable(target: Path, names: Iterable[str], size: int) -> None:
-    """Tries the place of results: `names` of their files, about `size` bytes.
+    """Checks that results can be written to a folder: `names` of their files, about `size` bytes.
 
-    Raises: OSError in one sentence with the path and the cure, where they could not be written, or would replace files
+    Raises: OSError in one sentence with the path and the cure, where they cannot be written, or would replace files
     that no adjustment wrote.
     """
     place = _place_of(target)
@@ -63,9 +63,9 @@ def require_writable(target: Path, names: Iterable[str], size: int) -> None:
     except OSError as error:
         raise _not_writable(target, error) from error
     if foreign:
-        raise FileExistsError(f"{target} holds {', '.join(foreign)}, which no adjustment wrote; {ANOTHER}")
+        raise FileExistsError(f"{target} contains {', '.join(foreign)}, which no adjustment wrote; {ANOTHER}")
     if not home.is_dir():
-        raise NotADirectoryError(f"{home} is a file, so that the folder {target} cannot be made below it; {ANOTHER}")
+        raise NotADirectoryError(f"{home} is a file, so the folder {target} cannot be created below it; {ANOTHER}")
     trial = home / marked_name()
     try:
         try:
@@ -78,8 +78,8 @@ def require_writable(target: Path, names: Iterable[str], size: int) -> None:
         raise _not_writable(target, error) from error
     if free < size:
         raise OSError(
-            f"the results take about {_megabytes(size)}, but {_megabytes(free)} are free in {home};"
-            f" {ANOTHER}, or make space"
+            f"the results need about {_megabytes(size)}, but {_megabytes(free)} are free in {home};"
+            f" {ANOTHER}, or free some space"
         )
 
 
@@ -93,9 +93,9 @@ def _not_writable(target: Path, error: OSError) -> OSError:
 
 
 def _place_of(target: Path) -> Path:
-    """The folder itself, where the path is a link to it.
+    """The target of the path, if it is a link.
 
-    Raises: FileExistsError for what is not a folder.
+    Raises: FileExistsError if it is not a folder.
     """
     try:
         if target.is_symlink() and not target.exists():
@@ -105,19 +105,19 @@ def _place_of(target: Path) -> Path:
         return target.resolve()
     except FileExistsError:
         raise
-    except (OSError, RuntimeError) as error:  # RuntimeError: links that lead in a circle
+    except (OSError, RuntimeError) as error:  # RuntimeError: links in a circle
         raise OSError(f"results cannot be written to {target}: {error}; {ANOTHER}") from error
 
 
 def _existing(place: Path) -> Path:
-    """The place, or the nearest folder above it that is there."""
+    """The folder, or the nearest existing folder above it."""
     while not os.path.lexists(place) and place != place.parent:
         place = place.parent
     return place
 
 
 def earlier_files(folder: Path) -> set[str]:
-    """Files of the folder that an earlier adjustment wrote, as its report.json says."""
+    """Files of the folder that an earlier adjustment wrote, according to its report.json."""
     try:
         files = json.loads((folder / DATA).read_text(encoding="utf-8"))["files"]
         named = {
@@ -137,7 +137,7 @@ def _mode(path: Path) -> int:
 
 @contextmanager
 def replaced(target: Path, names: Iterable[str]) -> Iterator[Path]:
-    """A folder to write results into, which takes the place of the target once all of them are written.
+    """Context of a new folder for results, which replaces the target when all results are written.
 
     Raises: OSError where they cannot be written.
     """
@@ -152,7 +152,7 @@ def replaced(target: Path, names: Iterable[str]) -> Iterator[Path]:
         record = Record("" if home == place else place.name, names, sorted(files))
         (hidden / _RECORD).write_text(json.dumps(record._asdict()), encoding="utf-8")
         new = hidden / _NEW
-        new.mkdir()  # within, as only this one gets the permissions of a usual folder
+        new.mkdir()  # a subfolder, as only this gets the permissions of a usual folder
         yield new
         for path in (*new.iterdir(), hidden / _RECORD):
             sync_file(path)
@@ -168,7 +168,7 @@ def replaced(target: Path, names: Iterable[str]) -> Iterator[Path]:
 
 
 def tidy(place: Path) -> None:
-    """Completes or removes what killed processes have left in a folder of results and beside it."""
+    """Completes or removes what killed processes left in a folder of results or next to it."""
     for hidden in (*remnants(place), *remnants(place.parent)):
         if hidden.is_dir():
             _finish(hidden)
@@ -177,12 +177,12 @@ def tidy(place: Path) -> None:
 
 
 def _home(place: Path, files: set[str]) -> Path:
-    """Where the hidden folder is made: beside a folder that is new or can be renamed, else within it."""
+    """Parent of the hidden folder: next to a folder that is new or can be renamed, otherwise inside it."""
     return place.parent if not place.is_dir() or _can_be_renamed(place, files) else place
 
 
 def _can_be_renamed(place: Path, files: set[str]) -> bool:
-    """Whether a folder can exchange its name with another one, and what is not of the results can move over."""
+    """Whether a folder can exchange its name with another one, and its other files can be moved."""
     if (
         _is_current(place)
         or os.path.ismount(place)
@@ -196,7 +196,7 @@ def _can_be_renamed(place: Path, files: set[str]) -> bool:
 
 
 def _is_current(place: Path) -> bool:
-    """Whether it is the current folder: the user's shell would be left in a folder without a name."""
+    """Whether it is the current folder: after an exchange the user's shell would be in a deleted folder."""
     try:
         return os.path.samefile(place, os.curdir)
     except OSError:
@@ -204,7 +204,7 @@ def _is_current(place: Path) -> bool:
 
 
 def _take_place(new: Path, place: Path) -> None:
-    """The new folder in place of the old one, if there is one, which afterwards is `new` or beside it `old`."""
+    """Puts the new folder at the name of the old one; an old folder is afterwards `new` or, next to it, `old`."""
     if place.is_dir():
         shutil.copymode(place, new)
         _exchange(new, place)
@@ -214,7 +214,7 @@ def _take_place(new: Path, place: Path) -> None:
     except OSError as error:
         if error.errno not in (errno.ENOTEMPTY, errno.EEXIST):
             raise
-        _exchange(new, place)  # another process was quicker
+        _exchange(new, place)  # another process was faster
 
 
 def _exchange(new: Path, place: Path) -> None:
@@ -226,9 +226,9 @@ def _exchange(new: Path, place: Path) -> None:
 
 
 def _move_files(hidden: Path, place: Path, record: Record) -> None:
-    """Replaces the files of earlier results one by one; where this was interrupted it can be done once more.
+    """Replaces the files of earlier results one by one; it can be repeated after an interruption.
 
-    report.json goes first and comes last: where it is, all the others belong to it.
+    report.json is removed first and written last: where it exists, all other files belong to it.
     """
     for name in (DATA, TEXT, *(name for name in record.files if name not in record.names)):
         if name not in record.names or (hidden / _NEW / name).exists():
@@ -240,7 +240,7 @@ def _move_files(hidden: Path, place: Path, record: Record) -> None:
 
 
 def _finish(hidden: Path) -> None:
-    """Puts in order what is left of a replacement: nothing of others is removed, the rest is."""
+    """Completes or removes the rest of a replacement; files of others are not removed."""
     try:
         record = Record(**json.loads((hidden / _RECORD).read_text(encoding="utf-8")))
     except (OSError, ValueError, TypeError, RecursionError):
@@ -252,7 +252,7 @@ def _finish(hidden: Path) -> None:
     if (hidden / _OLD).is_dir() and not place.exists():
         os.rename(hidden / _OLD, place)
     for part in (hidden / _NEW, hidden / _OLD):
-        files = {*record.files, *earlier_files(part)}  # of another process, if that was quicker
+        files = {*record.files, *earlier_files(part)}  # of another process that was faster
         for name in sorted(os.listdir(part)) if part.is_dir() else ():
             if name not in files:
                 place.mkdir(exist_ok=True)
@@ -261,7 +261,7 @@ def _finish(hidden: Path) -> None:
 
 
 def _free(path: Path) -> Path:
-    """The path, with a number behind its name if something stands there."""
+    """The path, with a number appended to its name if it exists already."""
     number, found = 1, path
     while os.path.lexists(found):
         number += 1

@@ -166,14 +166,14 @@ HEIGHTS = "give both heights in m above sea level"
         ),
         (
             "{ flying_height = 2500.0, ground_height = 0.0 }",
-            "corrections are neither refraction nor earth_curvature; say which = true, or drop them",
+            "corrections are neither refraction nor earth_curvature; set one of them to true, or drop the section",
         ),
         ("{ refraction = 24.5 }", "refraction is 24.5; give true, false or a coefficient from 0 to 0.001"),
         ('{ earth_curvature = "yes" }', "earth_curvature is 'yes'; give true, false or a coefficient from 0 to 0.01"),
         ("{ refraction = -1e-5 }", "refraction is -1e-05; give true, false or a coefficient from 0 to 0.001"),
         (
             "{ height = 2500.0, refraction = 1e-5 }",
-            "height is unknown; known here: flying_height, ground_height, refraction, earth_curvature",
+            "height is unknown; known keys: flying_height, ground_height, refraction, earth_curvature",
         ),
         (
             '{ flying_height = "high", refraction = 1e-5 }',

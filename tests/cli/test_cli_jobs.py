@@ -96,7 +96,7 @@ def test_one_process_after_the_other(run, blocks):
     assert (code, err) == (0, "") and out.endswith("Results: adjustments\n")
     assert list(rows(blocks / "adjustments")) == ["strip", "strip-2"]
     code, out, _ = run("a/strip", "c/other", "--max-iterations", 1, "--no-precision")
-    assert code == 1 and "ended at the maximum number of iterations, not converged" in out
+    assert code == 1 and "stopped at the maximum number of iterations (not converged)" in out
     assert list(rows(blocks / "adjustments")) == ["strip", "other"]  # an earlier table is replaced
 
 
@@ -113,7 +113,7 @@ def test_no_place_for_results(run, blocks):
 @pytest.mark.parametrize(
     ("options", "message"),
     [
-        (("--checkpoint", "state"), "a --checkpoint and a cluster belong to one block"),
+        (("--checkpoint", "state"), "--checkpoint and a cluster support one block only"),
         (("--jobs", "0"), "greater than or equal to 1"),
     ],
 )
@@ -170,7 +170,7 @@ def test_ctrl_c_ends_the_workers(blocks, tmp_path, how):
     process.send_signal(how)
     out, err = process.communicate(timeout=120)
     assert process.returncode == 130 and b"Traceback" not in err
-    assert err.count(b"Ctrl-C again ends at once") == 1
+    assert err.count(b"Ctrl-C again stops immediately") == 1
     assert out.count(b"not adjusted") == 2
     time.sleep(1.0)  # the tracker ends when it finds itself alone
     assert not [pid for pid in workers if runs(pid)]

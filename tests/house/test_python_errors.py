@@ -178,7 +178,7 @@ def test_robust_rounds_end_where_the_adjustment_does_not_converge(block, monkeyp
     assert len(counted) == 2 + solve_reweighting.FAILED_ROUNDS
     assert ended.reweighting is not None and not ended.reweighting.settled and not ended.trustworthy
     (found,) = [finding for finding in ended.findings if finding.kind is Kind.UNSETTLED]
-    assert "in round 2 the adjustment ended at the maximum number of iterations" in found.what
+    assert "in round 2 the adjustment stopped at the maximum number of iterations" in found.what
 
 
 def test_names_are_shown():

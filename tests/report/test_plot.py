@@ -218,7 +218,7 @@ def test_two_results_of_one_block(report):
 def test_results_that_have_nothing_in_common(report):
     with pytest.raises(ValueError, match="different units"):
         compare_reports(report, {**report, "units": {"object": "ft", "angle": "deg"}})
-    with pytest.raises(ValueError, match="no point, image or camera of the same name"):
+    with pytest.raises(ValueError, match="no point, image or camera with the same name"):
         compare_reports(report, {"units": report["units"]})
 
 

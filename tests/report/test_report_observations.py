@@ -70,7 +70,7 @@ def test_significance_is_told_where_0_has_a_meaning(adjustment) -> None:
     (found,) = [finding for finding in findings(adjustment) if finding.kind is Kind.INSIGNIFICANT]
     held = {subject.names[0] for subject in found.subjects}
     assert held and held <= {name for name in told if parameters[name]["t"] < 2}
-    assert all(name in found.what for name in held) and found.cure == "hold them at 0"
+    assert all(name in found.what for name in held) and found.cure == "fix them at 0"
 
 
 def with_parameter_cofactors(adjustment, change_of):
@@ -87,7 +87,7 @@ def test_finds_correlated_parameters(adjustment) -> None:
 
     changed = with_parameter_cofactors(adjustment, correlate)
     (sentence,) = [sentence for sentence in words(changed) if "shift X of strip 1 and shift Z" in sentence]
-    assert "by -0.980; hold one of each pair, or give it a value with a sigma" in sentence
+    assert "by -0.980; fix one of each pair, or give it a value with a sigma" in sentence
     assert "-0.9800" in report_text(changed)
     (pair,) = report_dict(changed)["high_parameter_correlations"]
     assert pair == ["shift X of strip 1", "shift Z of strip 1", pytest.approx(-0.98)]
@@ -182,8 +182,8 @@ def test_text_fits_the_page_and_counts_parameters(adjustment) -> None:
     assert f"(images 24, cameras 1, parameters {free}, points " in text
     for title in (
         "Parameters",
-        "Zenith angles: computed less observed [gon]",
-        "Interior priors: computed less observed",
+        "Zenith angles: computed - observed [gon]",
+        "Interior priors: computed - observed",
     ):
         assert f"\n{title}\n" in text
     assert "orientation of set C" in text and "image:022" in text
@@ -203,7 +203,7 @@ def test_robust_weights(simple, tmp_path) -> None:
     low = robust(simple, weights)
     text = report_text(low)
     assert f"Robust weights       huber, limit 2.45; 2 of {len(weights)} rays below 0.5 after 7 rounds" in text
-    assert "\nRays of a robust weight below 0.5\n" in text
+    assert "\nRays with a robust weight below 0.5\n" in text
     names = [
         (structure.image_names[structure.ray_image[ray]], structure.point_names[structure.ray_point[ray]])
         for ray in (8, 3)
@@ -230,7 +230,7 @@ def test_robust_weights_that_are_all_believed(simple) -> None:
 def test_robust_weights_that_did_not_settle(simple) -> None:
     unsettled = robust(simple, np.ones(len(simple.block.structure.ray_image)), settled=False)
     assert any(sentence.startswith("the robust weights were still changing after 7") for sentence in words(unsettled))
-    assert "7 rounds, which did not settle; 0 rays below 0.5" in unsettled.summary()
+    assert "7 rounds, which did not converge; 0 rays below 0.5" in unsettled.summary()
 
 
 def test_a_small_sigma0_of_robust_weights_says_nothing(simple) -> None:

@@ -43,7 +43,7 @@ def test_the_place_is_tried_before_the_work(tmp_path, monkeypatch):
     (tmp_path / "dangling").symlink_to(tmp_path / "nowhere")
     for target, words in (
         (tmp_path / "file", "is a file; give a folder"),
-        (tmp_path / "file" / "below", "is a file, so that the folder .* cannot be made below it; give another folder"),
+        (tmp_path / "file" / "below", "is a file, so the folder .* cannot be created below it; give another folder"),
         (tmp_path / "dangling", "is a link to .*nowhere, which does not exist; give another folder"),
         (tmp_path / ("x" * 300), "File name too long|the name is too long"),
     ):
@@ -51,7 +51,7 @@ def test_the_place_is_tried_before_the_work(tmp_path, monkeypatch):
             require_writable(target, NAMES, 1000)
     for code, words in (
         (errno.EROFS, "the file system is read-only"),
-        (errno.EACCES, "you may not write there"),
+        (errno.EACCES, "no permission to write there"),
         (errno.ENOSPC, "no space is left there"),
     ):
 
@@ -69,7 +69,7 @@ def test_space_is_looked_at_before_the_work(tmp_path, monkeypatch):
     usage = namedtuple("usage", "total used free")
     monkeypatch.setattr(result_folder.shutil, "disk_usage", lambda _: usage(10**9, 10**9, 2_000_000))
     require_writable(tmp_path / "new", NAMES, 1_000_000)
-    with pytest.raises(OSError, match="the results take about 3 MB, but 2 MB are free in .*; give another folder"):
+    with pytest.raises(OSError, match="the results need about 3 MB, but 2 MB are free in .*; give another folder"):
         require_writable(tmp_path / "new", NAMES, 3_000_000)
 
 

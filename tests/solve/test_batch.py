@@ -85,7 +85,7 @@ def test_progress_and_equal_names():
     batch = adjust_many(iter([strip(1), strip(2), unnamed]), precision=False, max_iterations=1, progress=seen.append)
     assert [o.name for o in batch.outcomes] == ["1 x 3 images", "1 x 3 images-2", "(unnamed)"]
     assert seen == list(batch.outcomes)
-    assert all("maximum number of iterations, not converged" in row.problem for row in batch.table())
+    assert all("maximum number of iterations (not converged)" in row.problem for row in batch.table())
 
 
 def test_undetermined_unknowns_are_named(monkeypatch, batch):

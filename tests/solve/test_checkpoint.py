@@ -132,7 +132,7 @@ def test_what_a_file_holds_is_looked_at(tmp_path: Path) -> None:
     with pytest.raises(CheckpointError, match="delete it or name another file"):
         load(file, "mark", *STATE)
     foreign(file, {"leaf 0": [1.0]})
-    with pytest.raises(CheckpointError, match="holds 1 arrays in place of 4"):
+    with pytest.raises(CheckpointError, match="contains 1 arrays instead of 4"):
         load(file, "mark", *STATE)
 
 

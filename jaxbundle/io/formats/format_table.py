@@ -1,4 +1,4 @@
-"""All foreign formats in one table: name, how the content tells them, how they are read and written."""
+"""Table of all foreign formats: name, recognition by content, reader and writer."""
 
 from collections.abc import Callable
 from pathlib import Path
@@ -29,7 +29,7 @@ Writer = Callable[[Block, Path], list[str]]
 
 
 class Format(NamedTuple):
-    """A format: its name on the command line and in words, whether a path has it, and its reader and writer."""
+    """A format: its name on the command line and in words, its test of a path, its reader and writer."""
 
     name: str
     words: str
@@ -37,7 +37,7 @@ class Format(NamedTuple):
     read: Reader | None
     write: Writer | None
     suffix: str = ""
-    """Of a file that `convert` writes in this form; "" for a folder."""
+    """Suffix of the file that `convert` writes in this format; "" for a folder."""
 
 
 def _colmap_text(block: Block, path: Path) -> list[str]:
@@ -73,14 +73,14 @@ WRITTEN = tuple(form.name for form in _FORMATS if form.write)
 
 
 def recognised(path: Path) -> list[Format]:
-    """The formats that a path has, by its content."""
+    """The formats that match the content of a path."""
     return [form for form in _FORMATS if form.recognised is not None and form.recognised(path)]
 
 
 def read_format(path: Path, name: str, options: ReadOptions = DEFAULT) -> ForeignBlock:
-    """What a path in a format holds, before it is a block.
+    """Reads a path in a format, to a foreign block.
 
-    Raises: ValueError for a format that is not read; BlockError with all that is wrong.
+    Raises: ValueError for a format that is not read; BlockError with all problems.
     """
     form = FORMATS.get(name)
     if form is None or form.read is None:
@@ -91,7 +91,7 @@ def read_format(path: Path, name: str, options: ReadOptions = DEFAULT) -> Foreig
 def write_format(block: Block, path: str | Path, name: str) -> tuple[str, ...]:
     """Writes a block in the format of another program, by its name in `FORMATS`.
 
-    Returns: what of the block has no place in the format, one sentence each.
+    Returns: sentences about contents of the block that the format cannot represent.
 
     Raises: ValueError for an unknown name.
 

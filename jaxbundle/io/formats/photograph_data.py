@@ -1,8 +1,9 @@
-"""Start values from photographs: EXIF and XMP of drones and cameras tell position, attitude and principal distance.
+"""Approximate values from EXIF and XMP of drones and cameras: position, attitude and principal distance.
 
 Position: GPSLatitude, GPSLongitude, GPSAltitude of EXIF, else the packet of DJI. Attitude: the gimbal's yaw, pitch and
-roll (attitudes.py). f in px = f35 / 43.27 sqrt(W^2 + H^2) of the focal length for 35 mm film, a start
-value. Heights of drones without RTK are barometric: they count with 30 m. A missing hemisphere is north and east.
+roll (attitudes.py). f in px = f35 / 43.27 sqrt(W^2 + H^2) of the focal length for 35 mm film, an
+approximate value. Heights of drones without RTK are barometric: their standard deviation is 30 m. A missing hemisphere
+is north and east.
 """
 
 import re
@@ -22,7 +23,7 @@ from jaxbundle.io.text_files import UnreadableError, file_bytes
 
 SUFFIXES = (".jpg", ".jpeg", ".tif", ".tiff")
 DIAGONAL_35 = 43.27  # mm, of the format of 35 mm film
-HEAD = 262_144  # bytes that hold EXIF and XMP
+HEAD = 262_144  # bytes that contain EXIF and XMP
 NUMBER = r"[+-]?\d+(?:\.\d*)?(?:[eE][+-]?\d+)?"
 XMP = {
     "yaw": ("drone-dji:GimbalYawDegree", "Camera:Yaw"),
@@ -40,28 +41,28 @@ XMP = {
 
 
 class Photograph(NamedTuple):
-    """What a photograph tells of itself; NaN where it does not."""
+    """Metadata of a photograph; NaN where missing."""
 
     name: str
     width: int | None
     height: int | None
     focal_length: float
-    """Principal distance in px, a start value."""
+    """Principal distance in px, approximate."""
     position: tuple[float, float, float]
-    """Longitude, latitude in degrees on WGS 84, altitude in m as the camera tells it."""
+    """Longitude, latitude in degrees on WGS 84, altitude in m as in the metadata."""
     sigmas: tuple[float, float, float]
-    """In m: plan, plan, height."""
+    """Standard deviations in m: plan, plan, height."""
     gimbal: tuple[float, float, float]
     """Yaw from true north, pitch, roll in degrees."""
 
     @property
     def rotation(self) -> Float[np.ndarray, "3 3"]:
-        """object_from_image in a system east, north, up at the place of the photograph."""
+        """Rotation object_from_image in a system east, north, up at the position of the photograph."""
         return rotations_of_gimbal(np.array([self.gimbal]))[0]
 
 
 def read_photograph(path: Path) -> Photograph:
-    """What EXIF and XMP of a picture tell.
+    """Reads EXIF and XMP of a photograph.
 
     Raises: BlockError where the file cannot be read or exifread is not installed.
 
@@ -74,9 +75,9 @@ def read_photograph(path: Path) -> Photograph:
             tags = exifread.process_file(file, details=False)
     except UnreadableError as error:
         raise BlockError([Problem(f"{path.name} {error.what}", error.cure)]) from error
-    except Exception as error:  # exifread raises whatever a damaged file leads to
+    except Exception as error:  # exifread raises any exception for a damaged file
         what = f"the EXIF of {path.name} cannot be read: {shown(str(error))}"
-        raise BlockError([Problem(what, "take the photograph from the camera again")]) from error
+        raise BlockError([Problem(what, "copy the photograph from the camera again")]) from error
     packet = _packet(head)
     width, height = (_whole(tags, f"EXIF ExifImage{side}") for side in ("Width", "Length"))
     f35 = _first(tags, "EXIF FocalLengthIn35mmFilm")
@@ -92,7 +93,7 @@ def read_photograph(path: Path) -> Photograph:
 
 
 def _packet(head: bytes) -> dict[str, float]:
-    """The numbers of an XMP packet, as attributes or elements; NaN where there is none."""
+    """Numbers of an XMP packet, as attributes or elements; NaN where missing."""
     begin, end = head.find(b"<x:xmpmeta"), head.find(b"</x:xmpmeta")
     text = head[begin:end].decode("utf-8", "replace") if 0 <= begin < end else ""
     found = {}
@@ -107,7 +108,7 @@ def _packet(head: bytes) -> dict[str, float]:
 
 
 def _ratios(tags: Any, name: str) -> list[float]:
-    """The numbers of a tag."""
+    """The numbers of one tag."""
     values = getattr(tags.get(name), "values", None) or []
     found = []
     for value in values if isinstance(values, list) else [values]:
@@ -149,7 +150,7 @@ def _position(tags: Any, packet: dict[str, float]) -> tuple[float, float, float]
 
 
 def positions_of_photographs(folder: Path) -> Positions:
-    """The positions of all photographs in a folder, as a table of stations in longitude and latitude.
+    """Reads the positions of all photographs in a folder, as stations in longitude and latitude.
 
     Raises: BlockError where the folder has no photographs with positions, or exifread is not installed.
     """
@@ -157,15 +158,15 @@ def positions_of_photographs(folder: Path) -> Positions:
     found = [read_photograph(file) for file in files]
     known = [one for one in found if np.isfinite(one.position[:2]).all()]
     if not known:
-        what = f"{folder} has {len(files)} photographs, and none tells its position"
-        raise BlockError([Problem(what, "give a folder with photographs as the camera wrote them, or a geo.txt")])
+        what = f"{folder} has {len(files)} photographs, and none has a position"
+        raise BlockError([Problem(what, "give a folder with original photographs of the camera, or a geo.txt")])
     findings = []
     if len(known) < len(found):
-        what = f"{len(found) - len(known)} of {len(found)} photographs tell no position"
+        what = f"{len(found) - len(known)} of {len(found)} photographs have no position"
         findings.append(Finding(Kind.UNUSED, what, grade=Severity.NOTE))
     plan, height = (max(one.sigmas[k] for one in known) for k in (0, 2))
     words = f"positions of photographs have standard deviations of up to {plan:g} m in plan and {height:g} m in height"
-    findings.append(Finding(Kind.INFORMATION, f"{words}; what the altitudes refer to is not known"))
+    findings.append(Finding(Kind.INFORMATION, f"{words}; the reference of the altitudes is unknown"))
     stations = tuple(Known(one.name, one.position, one.sigmas) for one in known)
     nothing = (np.nan, np.nan, np.nan)
     attitudes = tuple(Known(one.name, one.gimbal, nothing) for one in known if np.isfinite(one.gimbal).all())

@@ -1,7 +1,6 @@
-"""PLY files: vertices read from binary or text, points and cameras written in double precision.
+"""Reading the vertices of PLY files, binary or text.
 
-Written is binary_little_endian: x, y, z double, red, green, blue uchar, and of an adjustment sX, sY, sZ float and
-rays int. Many viewers read coordinates as float: a shift keeps their digits.
+Only vertices are read; they must be the first element of the file.
 """
 
 from pathlib import Path
@@ -26,9 +25,9 @@ CURE = "save the project again"
 
 
 def ply_vertices(path: Path, data: bytes, wanted: tuple[str, ...]) -> np.ndarray:
-    """The vertices of a PLY file as a structured array; `path` is named where it is damaged.
+    """The vertices of a PLY file as a structured array; `path` is for messages.
 
-    Raises: BlockError for another form, or where the file ends too early.
+    Raises: BlockError for another format, or where the file ends too early.
     """
     data = data.replace(b"\r\n", b"\n", 20) if data[:5] == b"ply\r\n" else data
     head, found, body = data.partition(END)

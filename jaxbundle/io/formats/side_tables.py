@@ -1,4 +1,4 @@
-"""A foreign block from several sources: the file itself, and tables of control and of image positions beside it."""
+"""A foreign block from several sources: the file itself, and additional tables of control and of image positions."""
 
 from dataclasses import dataclass, replace
 from pathlib import Path
@@ -16,25 +16,25 @@ from jaxbundle.io.formats.photograph_data import positions_of_photographs
 
 @dataclass(frozen=True)
 class Sources:
-    """What stands beside a foreign block, and what a user knows of it; sigmas in plan and in height, object unit."""
+    """Additional tables of a foreign block, and information from the user; sigmas in plan and height, object unit."""
 
     format: str = ""
-    """Name of the format, where the content fits several or none."""
+    """Name of the format, for content that fits several formats or none."""
     control: Path | None = None
     """gcp_list.txt, or a table with point, X, Y, Z and sigmas."""
     stations: Path | None = None
-    """Observed projection centres: geo.txt, or a folder with photographs that tell their positions."""
+    """Observed projection centres: geo.txt, or a folder with photographs that have positions."""
     control_sigma: tuple[float, float] | None = None
     station_sigma: tuple[float, float] | None = None
     attitude_sigma: float | None = None
-    """Of observed attitudes, in degrees; None leaves the attitudes of the stations out."""
+    """Standard deviation of observed attitudes in degrees; None: attitudes of the stations are not used."""
     options: ReadOptions = ReadOptions()
 
 
 def read_sources(path: Path, form: Format, sources: Sources) -> Block:
-    """The block of a path in a format, with the control and stations of the tables beside it.
+    """Reads the block of a path in a format, with control and stations of the additional tables.
 
-    Raises: BlockError with all that is wrong in one of the files.
+    Raises: BlockError with all problems in one of the files.
     """
     foreign = read_format(path, form.name, sources.options)
     control = read_control(sources.control, sources.control_sigma) if sources.control else None
@@ -48,7 +48,7 @@ def read_sources(path: Path, form: Format, sources: Sources) -> Block:
 
 
 def _attitudes_observed(positions: Positions, sigma: float | None) -> Positions:
-    """Positions whose attitudes are observations of omega, phi, kappa, or left out and said so."""
+    """Positions with attitudes as observations of omega, phi, kappa, or a finding that these are not used."""
     if not positions.attitudes:
         return positions
     if sigma is None:

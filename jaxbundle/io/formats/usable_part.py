@@ -1,4 +1,4 @@
-"""What of a foreign block can take part in an adjustment; the rest is counted and told, not refused."""
+"""Selecting the usable images, points and rays of a foreign block; unusable ones are counted and reported."""
 
 import dataclasses
 
@@ -9,7 +9,7 @@ from jaxbundle.block.findings import Finding, Kind, Severity, Subject
 from jaxbundle.block.wording import counted
 from jaxbundle.io.formats.foreign_block import ForeignBlock, Images, Points, RayTable
 
-MIN_RAYS = 3  # of an image: six unknowns
+MIN_RAYS = 3  # minimum number of rays of an image: six unknowns
 NAMED = 10
 
 
@@ -46,7 +46,7 @@ def usable(foreign: ForeignBlock) -> ForeignBlock:
 def _selected(
     foreign: ForeignBlock, oriented: Bool[np.ndarray, " image"], anchored: Bool[np.ndarray, " point"]
 ) -> tuple[Bool[np.ndarray, " image"], Bool[np.ndarray, " point"], Bool[np.ndarray, " ray"]]:
-    """Images, points and rays that remain; leaving out one may leave too little for another."""
+    """Masks of the images, points and rays that remain. Removal of one may leave too few rays for another."""
     rays = foreign.rays
     ray = oriented[rays.image] if len(rays.image) else np.zeros(0, bool)
     while True:
@@ -68,7 +68,7 @@ def _images_left(
         names = [foreign.images.names[k] for k in np.flatnonzero(which)]
         if names:
             subjects = tuple(Subject("images", (name,)) for name in names[:1000])
-            what = f"{counted(len(names), 'image')} of {len(chosen)} take no part, as they {why}: {_listed(names)}"
+            what = f"{counted(len(names), 'image')} of {len(chosen)} are not used, because they {why}: {_listed(names)}"
             findings.append(Finding(Kind.UNUSED, what, "", subjects, grade=Severity.NOTE))
     return findings
 
@@ -81,7 +81,7 @@ def _points_left(
         return []
     what = (
         f"{counted(points, 'point')} of {len(point)} with fewer than two rays and {counted(rays, 'ray')} of"
-        f" {len(chosen)} take no part"
+        f" {len(chosen)} are not used"
     )
     return [Finding(Kind.UNUSED, what, grade=Severity.NOTE)]
 
@@ -96,7 +96,7 @@ def _known_left(foreign: ForeignBlock, images: set[str], points: set[str]) -> li
         names = [row.name for row in rows if row.name not in there]
         if names:
             why = "are measured on too few images" if what == "control points" else "belong to no image of the block"
-            left = f"{len(names)} of {len(rows)} {what} {why} and take no part: {_listed(names)}"
+            left = f"{len(names)} of {len(rows)} {what} {why} and are not used: {_listed(names)}"
             cure = "compare their names with those of the images" if what != "control points" else ""
             grade = Severity.CHECK if len(names) == len(rows) else Severity.NOTE
             findings.append(Finding(Kind.UNUSED, left, cure, grade=grade))

@@ -12,11 +12,11 @@ from jaxbundle.numerics.host import on_host
 from jaxbundle.solve.adjustment import Adjustment
 from jaxbundle.statistics.covariance import error_ellipses
 
-SHARE = 0.03  # of the extent of the block: the length of the median residual vector and ellipse in a drawing
+SHARE = 0.03  # share of the extent of the block: length of the median residual vector and ellipse in a drawing
 
 
 class Vectors(NamedTuple):
-    """Residuals of control and check points: adjusted - known, by the names of the points."""
+    """Residuals of control and check points, adjusted - known, with the names of the points."""
 
     names: tuple[str, ...]
     start: Float[np.ndarray, "vector 3"]
@@ -31,7 +31,7 @@ class Ellipses(NamedTuple):
 
 
 class Features(NamedTuple):
-    """What can be shown. `sigmas` and `ellipses` are None without an adjustment with standard deviations."""
+    """All objects to draw. `sigmas` and `ellipses` are None without an adjustment with standard deviations."""
 
     block: Block
     points: Float[np.ndarray, "point 3"]
@@ -39,24 +39,24 @@ class Features(NamedTuple):
     rays: Int[np.ndarray, " point"]
     centres: Float[np.ndarray, "image 3"]
     angles: Float[np.ndarray, "image 3"]
-    """In radians, of the rotation system of the block."""
+    """In radians, in the rotation system of the block."""
     vectors: Vectors
     ellipses: Ellipses | None
 
     @property
     def extent(self) -> float:
-        """Diagonal of the points in the plane."""
+        """Diagonal of the extent of the points in the plane."""
         plane = self.points[:, :2]
         return float(np.linalg.norm(np.ptp(plane, axis=0))) if len(plane) else 1.0
 
     @property
     def vector_scale(self) -> float:
-        """By how much residual vectors are stretched in a drawing: a power of ten."""
+        """Factor that enlarges residual vectors in a drawing: a power of ten."""
         return _stretch(np.linalg.norm(self.vectors.residual[:, :2], axis=1), self.extent)
 
     @property
     def ellipse_scale(self) -> float:
-        """By how much error ellipses are stretched in a drawing: a power of ten."""
+        """Factor that enlarges error ellipses in a drawing: a power of ten."""
         return 1.0 if self.ellipses is None else _stretch(self.ellipses.axes[:, 0], self.extent)
 
 
@@ -68,7 +68,7 @@ def _stretch(lengths: Float[np.ndarray, " length"], extent: float) -> float:
 
 
 def features_of(result: Block | Adjustment) -> Features:
-    """The features of an adjustment, or of a block as it stands."""
+    """The features of an adjustment or a block."""
     block = result.block if isinstance(result, Adjustment) else result
     s, points = block.structure, on_host(block.object_points)
     sigmas, ellipses = None, None
@@ -87,7 +87,7 @@ def features_of(result: Block | Adjustment) -> Features:
 
 
 def _vectors(block: Block, points: Float[np.ndarray, "point 3"]) -> Vectors:
-    """Adjusted - known where anything is known; a coordinate that is not has the residual 0."""
+    """Adjusted - known of points with a known coordinate; an unknown coordinate has the residual 0."""
     s = block.structure
     rows = [(int(k), place) for k, place in zip(s.check_point, on_host(block.check_points.coordinates), strict=True)]
     for group in (group for group in block.groups if group.structure.kind == CONTROL):

@@ -1,4 +1,4 @@
-"""What stands in each chapter of the page: its pictures, then the sections that belong to it."""
+"""Content of the chapters of the page: pictures, then the sections of the chapter."""
 
 from collections.abc import Callable, Iterable, Mapping
 
@@ -14,19 +14,19 @@ from jaxbundle.report.pictures.known import root_mean_square
 from jaxbundle.report.pictures.plan_picture import Plan, plan
 from jaxbundle.report.section import Chapter, ReportColumn, Section, digits, fixed
 
-CAMERAS = 20  # with pictures of their own; the tables have all
-HIGH_RMS = 1.5  # rms of w / sigma0 of an image that is marked
-FEW_CHECK_POINTS = 30  # ASPRS (2023) wants so many for a statement of accuracy
+CAMERAS = 20  # maximum number of cameras with pictures; the tables contain all
+HIGH_RMS = 1.5  # images with a larger rms of w / sigma0 are marked
+FEW_CHECK_POINTS = 30  # minimum number for a statement of accuracy (ASPRS 2023)
 
 
 def chapters_of(figures: Figures, sections: Iterable[Section]) -> dict[Chapter, str]:
-    """The markup of every chapter in its order; one without content is left out."""
+    """The markup of all chapters in order; a chapter without content is left out."""
     rows: Rows = {}
     seen, extra = plan(figures), _extra(figures)
     by_chapter: dict[Chapter, list[str]] = {chapter: [] for chapter in Chapter}
     for section in sections:
         if section.chapter is Chapter.VERDICT and section.title == "Verdict":
-            continue  # it stands in the tiles and the findings
+            continue  # its content is in the tiles and the findings
         by_chapter[section.chapter].append(section_html(section, extra, rows))
     makers: Mapping[Chapter, Callable[[], str]] = {
         Chapter.VERDICT: lambda: verdict_tiles.tiles(figures) + verdict_tiles.findings_html(figures, rows),
@@ -49,12 +49,12 @@ def chapters_of(figures: Figures, sections: Iterable[Section]) -> dict[Chapter, 
 
 
 def chance(probability: float) -> str:
-    """A probability in a sentence."""
+    """A probability for use in a sentence."""
     return "p < 0.0001" if probability < 1e-4 else f"p = {probability:.2g}"
 
 
 def _extra(figures: Figures) -> dict[str, tuple[ReportColumn, ...]]:
-    """Columns of the page alone: what the rays tell of an image, and t of check points."""
+    """Additional columns of the page: residuals of each image, and t of check points."""
     found = ray_pictures.image_figures(figures)
     names = ("rms vx", "rms vy")
     columns = [ReportColumn("", v, name, lambda x: digits(x, 3)) for name, v in zip(names, found.rms.T, strict=False)]
@@ -79,7 +79,7 @@ def _plan(figures: Figures, seen: Plan) -> str:
         for action, label, title in (
             ("in", "+", "zoom in"),
             ("out", "\u2212", "zoom out"),
-            ("tilt", "3D", "tilt the view; drag turns it"),
+            ("tilt", "3D", "tilt the view; drag to rotate"),
             ("outlines", "Outlines", "outlines of the images"),
             ("ties", "Tie points", "show the tie points"),
             ("sd", "Precision", "colour the tie points by their standard deviation"),
@@ -90,7 +90,7 @@ def _plan(figures: Figures, seen: Plan) -> str:
     moving = tag("div", buttons, class_="tools") + canvas + tag("p", "", class_="hover", aria_live="polite")
     script = tag("script", data, type="application/json", id="scene")
     moved = tag("div", moving + tag("p", text(f"{words}; click on a mark to see its row."), class_="more"))
-    still = tag("div", figure(drawn, f"{legend} Of the block {said}."), class_="still")
+    still = tag("div", figure(drawn, f"{legend} In this block {said}."), class_="still")
     return still + tag("div", moved, class_="plan scripted", id="plan") + script
 
 
@@ -104,8 +104,8 @@ def _control(figures: Figures, seen: Plan) -> str:
     unit = figures.structure.object_unit
     drawn = drawings.vector_drawing(seen, groups, factor, unit)
     caption = (
-        f"Adjusted less given coordinates: arrows in X and Y, bars in Z, all enlarged {factor:g} times. Blue triangles:"
-        " control points (internal, they took part); orange squares: check points (external, they did not)."
+        f"Adjusted - given coordinates: arrows in X and Y, bars in Z, all enlarged {factor:g} times. Blue triangles:"
+        " control points (internal, used); orange squares: check points (external, not used)."
     )
     slider = tag("input", type="range", min="-2", max="2", step="0.1", value="0", aria_label="length of the arrows")
     slider = tag("label", f"Length of arrows {slider}" + tag("output", "x 1"), class_="scripted factor")
@@ -113,7 +113,7 @@ def _control(figures: Figures, seen: Plan) -> str:
 
 
 def _statistics(groups: dict[str, vector_pictures.Vectors], unit: str) -> str:
-    """Statistics of the differences, control and check points apart, and the test of the check points."""
+    """Statistics of the differences, separate for control and check points, and the test of the check points."""
     heads = ("", "number", "rms", "expected rms", "mean", "largest")
     lines = []
     for name, group in groups.items():
@@ -132,7 +132,7 @@ def _statistics(groups: dict[str, vector_pictures.Vectors], unit: str) -> str:
 
 def _accuracy(groups: dict[str, vector_pictures.Vectors], unit: str) -> list[str]:
     if "check" not in groups:
-        return ["There are no check points: how accurate the block is from outside is not known."]
+        return ["There are no check points: the external accuracy of the block is unknown."]
     check = groups["check"]
     total, count, probability = vector_pictures.external_test(check)
     words = []
@@ -146,7 +146,7 @@ def _accuracy(groups: dict[str, vector_pictures.Vectors], unit: str) -> list[str
     ce = vector_pictures.CE90 * root_mean_square(np.hypot(d[:, 0], d[:, 1]))
     le = vector_pictures.LE90 * root_mean_square(d[:, 2])
     points = len(check.names)
-    few = f"; {FEW_CHECK_POINTS} points or more are wanted for such a statement" if points < FEW_CHECK_POINTS else ""
+    few = f"; {FEW_CHECK_POINTS} points or more are required for such a statement" if points < FEW_CHECK_POINTS else ""
     words.append(f"CE90 {digits(ce, 3)}, LE90 {digits(le, 3)} {unit} from {points} check points{few}.")
     return words
 
@@ -164,11 +164,11 @@ def _residuals(figures: Figures) -> str:
         ),
         figure(
             charts.histogram_chart(histogram, "histogram of the residuals, logarithmic", log=True),
-            "The same on a logarithmic scale: what stands far outside are gross errors.",
+            "The same on a logarithmic scale: values far outside are gross errors.",
         ),
         figure(
             charts.quantile_chart(quantiles, "quantiles of the residuals"),
-            "Quantiles of the residuals over normal ones; dashed: where they agree.",
+            "Quantiles of the residuals over quantiles of the normal distribution; dashed: equal quantiles.",
         ),
     ]
     return tag("div", parts, class_="figures")
@@ -184,7 +184,7 @@ def _images(figures: Figures) -> str:
         found.standardised[chosen], tuple(names[k] for k in chosen), HIGH_RMS, "residuals of the images"
     )
     high = int((np.nan_to_num(found.standardised) > HIGH_RMS).sum())
-    caption = f"Root mean square of w / sigma0 of each image, 1 is expected; {high} of {len(names)} exceed {HIGH_RMS}."
+    caption = f"Root mean square of w / sigma0 of each image (expected: 1); {high} of {len(names)} exceed {HIGH_RMS}."
     if len(chosen) < len(names):
         caption += f" {len(chosen)} images are drawn."
     return figure(chart, caption, "wide")
@@ -209,7 +209,7 @@ def _camera(figures: Figures, c: int) -> str:
         drawn, factor = drawings.field_drawing(field, f"mean residuals of camera {name}")
         p = chance(field.probability)
         caption = f"Mean residuals in {len(field.rays)} cells of the format, enlarged {factor:g} times; blue: more than"
-        caption += f" 3 of their standard deviations. All zero: {p}, correlations between residuals neglected."
+        caption += f" 3 of their standard deviations. Hypothesis of zero means: {p}, correlations neglected."
         parts.append(figure(drawn, caption))
     curve = camera_pictures.distortion(figures, c)
     if curve is not None:
@@ -259,13 +259,13 @@ def _reliability(figures: Figures) -> str:
         [f"{edge:.1f}" if k % 2 == 0 else "" for k, edge in enumerate(edges[:-1])],
     )
     chart = charts.bar_chart(counts.astype(float), labels, ("redundancy number", "number"), "redundancy numbers")
-    caption = "Redundancy numbers of the image coordinates: the part of an error that shows in its own residual."
+    caption = "Redundancy numbers of the image coordinates: the part of an error that appears in its residual."
     return tag("div", figure(chart, caption), class_="figures")
 
 
 def _iterations(figures: Figures) -> str:
     history = figures.adjustment.iterations.history
     if not len(np.flatnonzero(~np.isnan(np.asarray(history.damping)))):
-        return tag("p", "This engine does not tell its iterations.")
+        return tag("p", "This solver does not report its iterations.")
     drawn = [figure(picture, name) for name, picture in charts.history_charts(history)]
     return tag("div", drawn, class_="figures")

@@ -1,21 +1,21 @@
-"""Facts and tables of the sections in HTML: each row has an address, so that findings can lead to it."""
+"""Facts and tables of the sections in HTML; each row has an id for the links of findings."""
 
 from collections.abc import Mapping
 
 from jaxbundle.report.html.markup import tag, text
 from jaxbundle.report.section import Facts, ReportColumn, ReportTable, Section
 
-# rows of a table in the page, so that it stays below 3 MB; the files have all
+# maximum number of rows of a table, so that the page is below 3 MB; the files contain all
 ROWS = {"images": 1500, "points": 500, "rays": 300}
 OTHER_ROWS = 500
-SEARCHED = 12  # rows from which on a table has a field to search it
-PLAIN = 25  # rows of a table that is shown in full height
+SEARCHED = 12  # number of rows above which a table has a search field
+PLAIN = 25  # maximum number of rows of a table in full height
 
-Rows = dict[tuple[str, tuple[str, ...]], str]  # addresses of rows by table and names
+Rows = dict[tuple[str, tuple[str, ...]], str]  # ids of rows by table and names
 
 
 def section_html(section: Section, extra: Mapping[str, tuple[ReportColumn, ...]], rows: Rows) -> str:
-    """A section below its heading; nothing where it has no parts. `extra`: columns that a table has in a page only."""
+    """A section with its heading; empty where it has no parts. `extra`: additional columns of a table in the page."""
     body = []
     for part in section.parts:
         if isinstance(part, Facts):
@@ -29,13 +29,13 @@ def section_html(section: Section, extra: Mapping[str, tuple[ReportColumn, ...]]
 
 
 def facts_html(facts: Facts) -> str:
-    """Facts below each other."""
+    """Markup of facts in a column."""
     pairs = [tag("dt", text(one.label)) + tag("dd", text(one.text)) for one in facts.facts if one.text]
     return tag("dl", pairs) if pairs else ""
 
 
 def table_html(table: ReportTable, extra: tuple[ReportColumn, ...], rows: Rows) -> str:
-    """The first rows of a table, and how many there are; nothing where it has no rows."""
+    """The first rows of a table, and the number of all; empty where it has no rows."""
     every = table.page if table.rows is None else table.rows
     shown = every[: ROWS.get(table.name, OTHER_ROWS)].tolist()
     if not shown:

@@ -1,4 +1,4 @@
-"""The block as data for the script of the page: positions on a grid of 16 bits, packed, and the names of a few."""
+"""The block as data for the script of the page: positions on a grid of 16 bits, packed, and some names."""
 
 import base64
 import json
@@ -13,14 +13,14 @@ from jaxbundle.report.html.drawings import thinned
 from jaxbundle.report.pictures.known import known, limits
 from jaxbundle.report.pictures.plan_picture import CHECK_POINT, TIE, Plan
 
-MOST_TIES = 250_000  # drawn by the script, of more an evenly spread choice
-MOST_NAMED = 10_000  # points with their names in the page
+MOST_TIES = 250_000  # maximum number of points for the script; evenly spread if there are more
+MOST_NAMED = 10_000  # maximum number of points with names in the page
 GRID = 65535
-DIGITS = 6  # of a coordinate in the data: a millionth of the block
+DIGITS = 6  # digits of a coordinate in the data: a millionth of the block
 
 
 def scene(figures: Figures, plan: Plan) -> tuple[str, str]:
-    """The data as JSON that may stand in a page, and a sentence that says how many points are in it."""
+    """The data as JSON for a page, and a sentence about the number of points in it."""
     finite = np.isfinite(plan.points).all(1)
     tie = np.flatnonzero(finite & (plan.role == TIE))
     shown = tie[thinned(len(tie), MOST_TIES)]
@@ -62,7 +62,7 @@ def scene(figures: Figures, plan: Plan) -> tuple[str, str]:
 
 
 def _table_rows(figures: Figures) -> dict[int, str]:
-    """Addresses of control and check points in their tables."""
+    """Ids of the table rows of control and check points."""
     index = {name: k for k, name in enumerate(figures.structure.point_names)}
     rows = {int(p): f"check_points-{k}" for k, p in enumerate(figures.structure.check_point)}
     for table in figures.tables:
@@ -72,7 +72,7 @@ def _table_rows(figures: Figures) -> dict[int, str]:
 
 
 def _packed(figures: Figures, xyz: Float[np.ndarray, "point 3"], rows: np.ndarray) -> dict[str, Any]:
-    """Positions as 16 bits between their limits, X of all, then Y, then Z, then the logarithm of the largest standard
+    """Positions as 16 bits between their limits, X of all, then Y, then Z, then the logarithm of the maximum standard
     deviation as 8 bits; deflated (RFC 1951), in base64."""
     bounds = np.array([limits(column, 0.0) for column in xyz.T])
     size = bounds[:, 1] - bounds[:, 0]

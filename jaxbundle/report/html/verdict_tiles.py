@@ -1,4 +1,4 @@
-"""What a reader looks at first: tiles with the verdict, and the findings, each with a link to what it is about."""
+"""The first part of the page: tiles with the verdict, and the findings with links to their subjects."""
 
 import numpy as np
 
@@ -10,9 +10,9 @@ from jaxbundle.report.html.markup import tag, text
 from jaxbundle.report.pictures.vector_pictures import check_vectors, control_vectors, external_test, spread
 from jaxbundle.report.section import Chapter
 
-LINKS = 6  # of one finding
+LINKS = 6  # maximum number of links of one finding
 SIGNS = {Severity.FAILED: "\u2715", Severity.CHECK: "!", Severity.NOTE: "i"}
-# where the reader finds what a finding is about, if its row is not in the page
+# chapter of the subject of a finding, if its row is not in the page
 CHAPTER_OF = {
     "control": Chapter.CONTROL,
     "check_points": Chapter.CONTROL,
@@ -24,7 +24,7 @@ CHAPTER_OF = {
 
 
 def tiles(figures: Figures) -> str:
-    """Status, sigma0, residuals at control (internal), differences at check points (external), findings."""
+    """Tiles: status, sigma0, residuals at control (internal), differences at check points (external), findings."""
     adjustment = figures.adjustment
     good = adjustment.trustworthy and not any(f.severity is Severity.FAILED for f in figures.findings)
     use = "can be used" if good else "must not be used"
@@ -60,14 +60,14 @@ def _control_tile(figures: Figures) -> str:
     if not vectors.names:
         return _tile("Control points, rms", "none observed", "internal", "internal")
     unit, found = figures.structure.object_unit, spread(vectors)
-    below = f"{unit}, {len(vectors.names)} points; internal: they took part"
+    below = f"{unit}, {len(vectors.names)} points; internal: used in the adjustment"
     return _tile("Control points, rms", _rms(found.rms), below, "internal")
 
 
 def _check_tile(figures: Figures) -> str:
     vectors = check_vectors(figures)
     if not vectors.names:
-        return _tile("Check points, rms", "none", "external accuracy is not known", "external")
+        return _tile("Check points, rms", "none", "external accuracy is unknown", "external")
     unit, found = figures.structure.object_unit, spread(vectors)
     _, count, probability = external_test(vectors)
     verdict = f"; chi-square test: p = {probability:.2g}" if count else ""
@@ -78,7 +78,7 @@ def _check_tile(figures: Figures) -> str:
 def findings_html(figures: Figures, rows: Rows) -> str:
     """The findings in their order, with links to their rows."""
     if not figures.findings:
-        return tag("p", "Nothing was found that forbids the use of the result or should be looked at.")
+        return tag("p", "There are no problems and no suggestions.")
     items = []
     for finding in figures.findings:
         severity = finding.severity
@@ -106,5 +106,5 @@ def _links(finding: Finding, rows: Rows) -> str:
 
 
 def chapter_address(chapter: Chapter) -> str:
-    """The address of a chapter within the page."""
+    """The id of a chapter within the page."""
     return f"chapter-{list(Chapter).index(chapter) + 1}"

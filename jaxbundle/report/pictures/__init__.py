@@ -1,6 +1,6 @@
-"""The numbers of the pictures of a report: pure functions of its figures, which the page and the plots draw alike.
+"""The numbers of the pictures of a report: pure functions, used by the page and the plots.
 
-known            what can be drawn: finite numbers, limits of an axis
+known            values that can be drawn: finite numbers, limits of an axis
 plan_picture     stations, outlines of images, object points and their role
 vector_pictures  differences at control points and check points, their statistics and tests
 ray_pictures     standardised residuals: histogram, normal quantiles, by image, mean field of a camera

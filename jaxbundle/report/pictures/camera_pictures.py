@@ -31,8 +31,8 @@ class Correlations(NamedTuple):
 
 
 def distortion(figures: Figures, camera: int) -> Distortion | None:
-    """Radial distortion r (K1 r^2 + K2 r^4 + K3 r^6); None for a camera model without such coefficients,
-    or a curve that is not finite."""
+    """Radial distortion r (K1 r^2 + K2 r^4 + K3 r^6) of a camera; None for a camera model without such
+    coefficients, or a curve that is not finite."""
     one, values = figures.structure.cameras[camera], figures.interior[camera]
     place = {name: k for k, name in enumerate(one.model.elements)}
     names = [name for name in (*METRIC, *RELATIVE) if name in place]
@@ -58,7 +58,7 @@ def distortion(figures: Figures, camera: int) -> Distortion | None:
 
 
 def correlations(figures: Figures, camera: int) -> Correlations | None:
-    """The correlations of a camera's estimated elements; None where fewer than two are estimated or none computed."""
+    """The correlations of a camera's estimated elements; None where fewer than two are estimated or computed."""
     free = np.flatnonzero(figures.structure.interior_free[camera])
     if figures.adjustment.cofactors is None or len(free) < 2:
         return None

@@ -1,4 +1,4 @@
-"""The block from above: stations, outlines of what each image shows, object points and their role."""
+"""The block in plan view: stations, outlines of the images, object points and their role."""
 
 from typing import NamedTuple
 
@@ -9,12 +9,15 @@ from jaxbundle.report.figures import Figures
 from jaxbundle.report.pictures.known import known
 
 TIE, CONTROL_POINT, CHECK_POINT = range(3)
-DIRECTIONS = 12  # corners that an outline has at most
+DIRECTIONS = 12  # maximum number of corners of an outline
 
 
 class Plan(NamedTuple):
-    """Adjusted positions in the object system. `role`: of every point, tie, control or check; `outlines`: of every
-    image, the corners X, Y of the area of its measured points."""
+    """Adjusted positions in the object system.
+
+    `role`: tie, control or check for each point; `outlines`: for each image the corners X, Y of the area of its
+    measured points.
+    """
 
     stations: Float[np.ndarray, "image 3"]
     points: Float[np.ndarray, "point 3"]
@@ -23,7 +26,7 @@ class Plan(NamedTuple):
 
 
 def plan(figures: Figures) -> Plan:
-    """The block from above, of an adjustment's figures."""
+    """The plan of the block, from the numbers of an adjustment."""
     points = known(figures.points)
     role = np.zeros(len(points), np.int8)
     role[figures.control_point] = CONTROL_POINT
@@ -32,7 +35,7 @@ def plan(figures: Figures) -> Plan:
 
 
 def _outlines(figures: Figures, points: np.ndarray) -> tuple[np.ndarray, ...]:
-    """Of the points of each image those that lie farthest in some directions, in their order around it."""
+    """Outline of each image: its points that lie farthest in some directions, in their order around the image."""
     structure = figures.structure
     usable = np.isfinite(points[structure.ray_point, :2]).all(1)
     image, point = structure.ray_image[usable], structure.ray_point[usable]
@@ -47,7 +50,7 @@ def _outlines(figures: Figures, points: np.ndarray) -> tuple[np.ndarray, ...]:
     for k, angle in enumerate(2 * np.pi * np.arange(DIRECTIONS) / DIRECTIONS):
         along = seen @ [np.cos(angle), np.sin(angle)]
         farthest = np.flatnonzero(along == np.maximum.reduceat(along, first)[rank])
-        corners[rank[farthest[::-1]], k] = seen[farthest[::-1]]  # of equal ones the first
+        corners[rank[farthest[::-1]], k] = seen[farthest[::-1]]  # the first of equal ones
     for which, polygon in zip(present.tolist(), corners, strict=True):
         outlines[which] = polygon[np.any(polygon != np.roll(polygon, 1, axis=0), axis=1)]
     return tuple(outlines)

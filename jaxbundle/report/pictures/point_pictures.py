@@ -1,4 +1,4 @@
-"""Precision of the object points over the block, and by their number of rays."""
+"""Precision of the object points over the block, and as a function of the number of rays."""
 
 from typing import NamedTuple
 
@@ -8,15 +8,15 @@ from jaxtyping import Float, Int
 from jaxbundle.report.figures import Figures
 from jaxbundle.report.pictures.known import known, limits
 
-CELLS = 96  # of the longer side of a map
-MOST_RAYS = 12  # from here on points are counted together
+CELLS = 96  # maximum number of cells along the longer side of a map
+MOST_RAYS = 12  # points with this number of rays or more are counted together
 COMPONENTS = ("X", "Y", "Z")
 
 
 class PrecisionMap(NamedTuple):
-    """Median standard deviation in the cells of a grid over the block, NaN where there is no point.
+    """Median standard deviation in the cells of a grid over the block; NaN in empty cells.
 
-    Row 0 lies at the lowest Y. `bounds`: lowest X, lowest Y, highest X, highest Y.
+    Row 0 has the minimum Y. `bounds`: minimum X, minimum Y, maximum X, maximum Y.
     """
 
     median: Float[np.ndarray, "row column"]
@@ -24,7 +24,7 @@ class PrecisionMap(NamedTuple):
 
 
 class RayCounts(NamedTuple):
-    """Points by number of rays, the last number and above together: how many, and their median sd in X, Y, Z."""
+    """Number of points and median sd in X, Y, Z for each number of rays; the last row includes larger numbers."""
 
     rays: Int[np.ndarray, " number"]
     points: Int[np.ndarray, " number"]
@@ -32,7 +32,7 @@ class RayCounts(NamedTuple):
 
 
 def precision_map(figures: Figures, component: str = "Z", cells: int = CELLS) -> PrecisionMap:
-    """The map of the points' standard deviation in X, Y or Z; of few points the cells are larger.
+    """The map of the points' standard deviation in X, Y or Z; with few points the cells are larger.
 
     Raises: ValueError for another component.
     """
@@ -52,7 +52,7 @@ def precision_map(figures: Figures, component: str = "Z", cells: int = CELLS) ->
 
 
 def _medians(group: np.ndarray, values: np.ndarray, groups: int) -> np.ndarray:
-    """The median of each group, NaN of an empty one."""
+    """The median of each group, NaN for an empty group."""
     order = np.lexsort((values, group))
     count = np.bincount(group, minlength=groups)
     first = np.cumsum(count) - count
@@ -64,7 +64,7 @@ def _medians(group: np.ndarray, values: np.ndarray, groups: int) -> np.ndarray:
 
 
 def ray_counts(figures: Figures) -> RayCounts:
-    """How many points have how many rays, and how precise they are."""
+    """Number and precision of the points for each number of rays."""
     rays = np.minimum(figures.rays_of_point, MOST_RAYS)
     numbers = np.arange(1, MOST_RAYS + 1)
     sd = known(np.where(figures.structure.point_free, figures.points_sd, np.nan))

@@ -1,4 +1,4 @@
-"""Residuals of the rays against their normal distribution, by image, and their mean field over the image format."""
+"""Residuals of the rays: comparison with the normal distribution, by image, and mean field over the image format."""
 
 from typing import NamedTuple
 
@@ -9,23 +9,23 @@ from scipy.special import chdtrc, ndtri
 from jaxbundle.report.figures import Figures
 from jaxbundle.report.pictures.known import known
 
-BINS, WIDEST = 60, 6.0  # classes of a histogram, and the standardised residual that the last ones collect
+BINS, WIDEST = 60, 6.0  # classes of a histogram, and the standardised residual of the outermost ones
 QUANTILES = 101
-CELLS = (24, 36)  # of a residual field: rows and columns at most
-RAYS_OF_CELL = 12  # wanted on average, so that the mean of a cell tells more than its noise
-COVERAGE = 6  # rows and columns of the grid that tells how much of the format has rays
+CELLS = (24, 36)  # maximum number of rows and columns of a residual field
+RAYS_OF_CELL = 12  # average number of rays per cell, so that the mean of a cell exceeds its noise
+COVERAGE = 6  # rows and columns of the grid for the coverage of the format
 INWARD = 1e-9  # residuals beyond the widest class are counted just inside of it
 
 
 class Histogram(NamedTuple):
-    """Counts between edges, x and y apart; what lies beyond the outermost edges is in the outermost classes."""
+    """Counts between edges, separate for x and y; values beyond the outermost edges are in the outermost classes."""
 
     edges: Float[np.ndarray, " edge"]
     counts: Int[np.ndarray, "component class"]
 
 
 class Field(NamedTuple):
-    """Mean residuals of a camera over its format. `ratio`: the mean over its own standard deviation."""
+    """Mean residuals of a camera over its format. `ratio`: the mean divided by its standard deviation."""
 
     x: Float[np.ndarray, " cell"]
     y: Float[np.ndarray, " cell"]
@@ -35,11 +35,11 @@ class Field(NamedTuple):
     format: tuple[float, float, float, float]
     unit: str
     probability: float
-    """Of a larger sum of squared ratios if all means were zero."""
+    """Probability of a larger sum of squared ratios if all means were zero."""
 
 
 class ImageFigures(NamedTuple):
-    """Rays of each image: number, rms of vx and vy in the unit of the rays, rms and largest of w / sigma0, coverage."""
+    """Statistics of the rays of each image: number, rms of vx and vy, rms and maximum of w / sigma0, coverage."""
 
     rays: Int[np.ndarray, " image"]
     rms: Float[np.ndarray, "image 2"]
@@ -49,7 +49,7 @@ class ImageFigures(NamedTuple):
 
 
 def standardised(figures: Figures) -> Float[np.ndarray, "ray component"]:
-    """w / sigma0 of the rays, standard normal for normal errors; v / (sigma0 sigma) where there is no w."""
+    """Standardised residuals w / sigma0 of the rays, normal for normal errors; v / (sigma0 sigma) without w."""
     numbers = figures.normalised[0] if figures.reliability is None else figures.reliability.w[0]
     scale = figures.sigma0 if figures.sigma0 > 0 else np.inf
     with np.errstate(all="ignore"):
@@ -57,7 +57,7 @@ def standardised(figures: Figures) -> Float[np.ndarray, "ray component"]:
 
 
 def residual_histogram(figures: Figures) -> Histogram:
-    """Classes of the standardised residuals of the rays."""
+    """Histogram of the standardised residuals of the rays."""
     values = standardised(figures)
     edges = np.linspace(-WIDEST, WIDEST, BINS + 1)
     inside = np.clip(values, -WIDEST + INWARD, WIDEST - INWARD)
@@ -66,8 +66,10 @@ def residual_histogram(figures: Figures) -> Histogram:
 
 
 def normal_quantiles(figures: Figures) -> Float[np.ndarray, "quantile 2"]:
-    """Quantiles of the normal distribution, and those of all standardised residuals; the outermost one of each tail is
-    its largest residual."""
+    """Quantiles of the normal distribution, and of all standardised residuals.
+
+    The outermost quantile of each tail is the extreme residual.
+    """
     values = np.sort(standardised(figures)[np.isfinite(standardised(figures))])
     if len(values) < 2:
         return np.zeros((0, 2))
@@ -76,7 +78,7 @@ def normal_quantiles(figures: Figures) -> Float[np.ndarray, "quantile 2"]:
 
 
 def image_figures(figures: Figures) -> ImageFigures:
-    """What the rays tell of each image."""
+    """Statistics of the rays of each image."""
     structure, values = figures.structure, standardised(figures)
     image, count = structure.ray_image, len(structure.image_names)
     n = figures.rays_of_image
@@ -95,7 +97,7 @@ def image_figures(figures: Figures) -> ImageFigures:
 
 
 def _coverage(figures: Figures) -> Float[np.ndarray, " image"]:
-    """Share of the cells of the format that have a ray."""
+    """Share of the cells of the format that contain a ray."""
     structure = figures.structure
     formats = np.array([image_format(figures, c) for c in range(len(structure.cameras))])
     low, high = formats[structure.image_camera[structure.ray_image]].reshape(-1, 2, 2).transpose(1, 0, 2)
@@ -108,7 +110,7 @@ def _coverage(figures: Figures) -> Float[np.ndarray, " image"]:
 
 
 def image_format(figures: Figures, camera: int) -> tuple[float, float, float, float]:
-    """Left, low, right and high bound of the image coordinates: of the format if it is known, else of the rays."""
+    """Left, low, right and high bound of the image coordinates: of the format if known, otherwise of the rays."""
     structure = figures.structure
     one = structure.cameras[camera]
     if one.image_unit == "px" and one.width and one.height:
@@ -122,7 +124,7 @@ def image_format(figures: Figures, camera: int) -> tuple[float, float, float, fl
 
 
 def residual_field(figures: Figures, camera: int, bins: tuple[int, int] = CELLS) -> Field:
-    """Mean residuals of a camera's rays in the cells of a grid over its format; of few rays the cells are larger."""
+    """Mean residuals of a camera's rays in the cells of a grid over its format; with few rays the cells are larger."""
     structure = figures.structure
     rays = np.flatnonzero(structure.image_camera[structure.ray_image] == camera)
     xy = known(np.asarray(figures.adjustment.block.rays.coordinates)[rays])

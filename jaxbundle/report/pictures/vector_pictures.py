@@ -1,10 +1,10 @@
-"""Differences at control and check points: adjusted less observed or known, with what is expected of them.
+"""Differences at control and check points: adjusted - observed or known, with expected values.
 
-    control    v of the observed coordinates, their sigma a priori, |w| / sigma0: internal, they took part
-    check      adjusted less known, the predicted sd, t = difference / sd: external, they took no part
+    control    v of the observed coordinates, their sigma a priori, |w| / sigma0: internal, used in the adjustment
+    check      adjusted - known, the predicted sd, t = difference / sd: external, not used in the adjustment
 
-Check points test the precision from outside: sum t^2 is chi-square with as many degrees of freedom as there are
-differences, if errors are normal and the correlations between the points are small.
+Check points test the precision externally: sum t^2 is chi-square distributed, with one degree of freedom for each
+difference, if errors are normal and correlations between the points are small.
 """
 
 from typing import NamedTuple
@@ -18,12 +18,15 @@ from jaxbundle.diagnosis.points import check_point_ratios
 from jaxbundle.report.figures import Figures
 from jaxbundle.report.pictures.known import known, root_mean_square
 
-CE90, LE90 = 1.5175, 1.6449  # radius and half length of 90 % over rms of a normal error (ASPRS 2015)
+CE90, LE90 = 1.5175, 1.6449  # ratios of CE90 and LE90 to the rms of a normal error (ASPRS 2015)
 
 
 class Vectors(NamedTuple):
-    """Points with differences. `expected`: their standard deviations, sigma of control, predicted sd of check points.
-    `ratio`: |w| / sigma0 of control, t of check points. NaN where nothing is observed or known."""
+    """Points with differences.
+
+    `expected`: sigma of control, predicted sd of check points. `ratio`: |w| / sigma0 of control, t of check points. NaN
+    where not observed or not known.
+    """
 
     names: tuple[str, ...]
     position: Float[np.ndarray, "point 3"]
@@ -33,7 +36,7 @@ class Vectors(NamedTuple):
 
 
 class Spread(NamedTuple):
-    """Statistics of differences, by coordinate."""
+    """Statistics of differences, for each coordinate."""
 
     number: tuple[int, ...]
     rms: tuple[float, ...]
@@ -77,7 +80,7 @@ def _nothing() -> Vectors:
 
 
 def spread(vectors: Vectors) -> Spread:
-    """Number, root mean square, mean and largest difference in X, Y and Z, and the rms that is expected."""
+    """Number, root mean square, mean and maximum of the differences in X, Y and Z, and the expected rms."""
     columns = []
     for d, sd in zip(vectors.difference.T, vectors.expected.T, strict=True):
         there = d[np.isfinite(d)]
@@ -95,7 +98,7 @@ def external_test(vectors: Vectors) -> tuple[float, int, float]:
 
 
 def arrow_factor(vectors: list[Vectors], extent: float) -> float:
-    """The one factor of all arrows: the largest is about an eighth of the extent of the block; 1, 2 or 5 times 10^k."""
+    """The common factor of all arrows, 1, 2 or 5 times 10^k: the longest is an eighth of the extent of the block."""
     lengths = [np.abs(v.difference).max(initial=0.0, where=np.isfinite(v.difference)) for v in vectors]
     longest = max(lengths, default=0.0)
     if not (longest > 0 and extent > 0):

@@ -124,7 +124,7 @@ def test_residuals_survive(tmp_path, name, camera):
         again, expected = _ties(again), residuals(_ties(foreign_block(block)), 0.005 if unit == "mm" else 1.0)
     np.testing.assert_allclose(residuals(again, of_file), expected, atol=ROUNDING.get(name, 1e-6))
     told = " ".join(losses)
-    assert ("the format does not hold" in told) == (camera in _corrected(name))
+    assert ("the format cannot represent the model" in told) == (camera in _corrected(name))
 
 
 def _intersected(block: Block) -> ForeignBlock:
