@@ -40,13 +40,13 @@ class Camera:
     image_unit: str = "px"
     width: int | None = None
     height: int | None = None
-    metric: bool = False  # whether the principal distance of a px camera is in mm, which needs a pixel size
+    principal_distance_in_mm: bool = False  # a px camera with a pixel size
 
     def unit_of(self, element: str) -> str:
         """Unit of an interior element; "" without a unit, such as for most coefficients."""
         if element in COORDINATES:  # elements of the principal point, in the unit of the rays also with a pixel size
             return self.image_unit
-        return ("mm" if self.metric else self.image_unit) if element in DISTANCES else ""
+        return ("mm" if self.principal_distance_in_mm else self.image_unit) if element in DISTANCES else ""
 
 
 class Owner(NamedTuple):
@@ -179,7 +179,7 @@ class Structure:
         return np.array([parameter.free for parameter in self.parameters], bool)
 
     @property
-    def unknowns(self) -> int:
+    def n_unknowns(self) -> int:
         """N: number of unknown elements."""
         masks = self.exterior_free, self.interior_free, self.parameter_free, self.point_free
         return int(sum(mask.sum() for mask in masks))
@@ -237,7 +237,7 @@ class Block(Facade):
         return f"<Block {s.name or '(unnamed)'}: {', '.join(counts)}>"
 
     @property
-    def observations(self) -> int:
+    def n_observations(self) -> int:
         """M: number of observed values."""
         return self.structure.model.components * len(self.structure.ray_image) + sum(
             group.count for group in self.groups
@@ -248,7 +248,7 @@ class Block(Facade):
         """M - N, plus the number of constraints of a free network in which all elements are unknown."""
         structure = self.structure
         inner = 0 if structure.datum.held else structure.datum.constraints
-        return self.observations - structure.unknowns + inner
+        return self.n_observations - structure.n_unknowns + inner
 
     @property
     def concrete(self) -> bool:

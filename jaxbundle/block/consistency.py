@@ -109,7 +109,10 @@ def _descriptions(s: Structure) -> Iterator[Problem]:
         ("inner_orientations", s.inner_orientations, tuple),
         *((f"width of camera {camera.name}", camera.width, int | None) for camera in s.cameras),
         *((f"height of camera {camera.name}", camera.height, int | None) for camera in s.cameras),
-        *((f"metric of camera {camera.name}", camera.metric, bool) for camera in s.cameras),
+        *(
+            (f"principal_distance_in_mm of camera {camera.name}", camera.principal_distance_in_mm, bool)
+            for camera in s.cameras
+        ),
     ):
         if not isinstance(value, kind):
             wanted = getattr(kind, "__name__", "number of px, or None")

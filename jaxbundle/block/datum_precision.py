@@ -20,10 +20,10 @@ from jaxbundle.block.observed_places import Frame, frame_of, observed_places
 from jaxbundle.block.similarity_defect import SimilarityDefect, displacements, similarity_defect
 from jaxbundle.block.wording import named
 
-LARGEST_ANGLE = np.deg2rad(
+MAX_ANGLE = np.deg2rad(
     10.0
 )  # standard deviation of a rotation: above this, error propagation of first order is wrong by 1.5 %
-LARGEST_SHARE = 0.1  # standard deviation of a position as a share of the block's radius: above this no map is possible
+MAX_SHARE = 0.1  # standard deviation of a position as a share of the block's radius: above this no map is possible
 AT_REST = 0.05  # share of the maximum displacement: positions on the axis of a rotation
 
 
@@ -76,7 +76,7 @@ def weak_datum(block: Block, sigma0: float) -> tuple[Finding, ...]:
     moved = np.linalg.norm(displacements(worst, points, frame.radius)[0], axis=1)
     extent = float(np.median(np.linalg.norm(points - np.median(points, 0), axis=1)))
     angle = float(np.linalg.norm(worst[3:6]))
-    if angle <= LARGEST_ANGLE and np.median(moved) <= LARGEST_SHARE * extent:
+    if angle <= MAX_ANGLE and np.median(moved) <= MAX_SHARE * extent:
         return ()
     return (_finding(block, worst, float(moved.max()), angle),)
 

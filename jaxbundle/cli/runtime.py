@@ -15,7 +15,7 @@ from jaxbundle.cli.last_words import in_a_sentence
 from jaxbundle.numerics.devices import meet
 from jaxbundle.numerics.program_cache import keep_programs
 
-MOST_DEVICES = 8  # each device stores the full reduced normal equations
+MAX_DEVICES = 8  # each device stores the full reduced normal equations
 MEETING, LOST, WRITING = 120, 60, 3600  # seconds: waiting for all processes, for a silent one, for the report
 
 
@@ -25,7 +25,7 @@ def start(cluster: Cluster | None = None, processes: int = 1) -> None:
     Raises: typer.BadParameter for a cluster that cannot be joined.
     """
     jax.config.update("jax_enable_x64", True)
-    jax.config.update("jax_num_cpu_devices", max(1, min(_cores() // processes, MOST_DEVICES)))
+    jax.config.update("jax_num_cpu_devices", max(1, min(_cores() // processes, MAX_DEVICES)))
     keep_programs()
     if cluster is not None:
         _join(cluster)

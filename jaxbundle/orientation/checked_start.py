@@ -34,7 +34,7 @@ ABSURD = 1.0  # fields; an image turned by 90 degrees is off by 1.4, one turned 
 CONSISTENT = 0.3  # fields; an image turned by 180 degrees leaves more although its points are pulled after it
 FAR_SMALLER = 0.1  # what a replacement may leave of the angles
 ROUGH_FIT = 0.1  # fields; what is left by points that are themselves rough
-LEAST_POINTS = 5  # of a resection that is believed: four and one to check them; of control alone the four
+MIN_POINTS = 5  # of a resection that is believed: four and one to check them; of control alone the four
 CONTROL_POINTS = 1  # of an image, that contradict it together with what makes it a suspect
 ROUNDS = 6  # resections of one round give points to those of the next
 SINGLE = 20  # worst images that are tried as the only wrong one
@@ -197,7 +197,7 @@ def _resected(
     """Images replaced by their resection from these points, where it is beyond doubt."""
     sight = start.sight
     count = np.bincount(sight.image[usable], minlength=len(sight.centre))
-    images = images[count[images] >= LEAST_POINTS - sight.is_known[sight.point[usable]].all()]
+    images = images[count[images] >= MIN_POINTS - sight.is_known[sight.point[usable]].all()]
     if not len(images):
         return start
     new = oriented(sight, images, points, usable, system)

@@ -22,7 +22,7 @@ from jaxbundle.orientation.approximation import Approximation, Figure, OrientedP
 from jaxbundle.orientation.common_rays import Directions
 from jaxbundle.orientation.global_start import GlobalStart, PartOrientation, global_start
 from jaxbundle.orientation.oriented import oriented
-from jaxbundle.orientation.planes_and_lines import with_figures
+from jaxbundle.orientation.planes_and_lines import with_planes_and_lines
 from jaxbundle.orientation.robust_intersection import Met, Rays, ahead, met
 from jaxbundle.orientation.sight import Sight, direction_sigmas, sight_of
 from jaxbundle.orientation.start_findings import start_findings
@@ -32,7 +32,7 @@ CONTROL_RAYS = 4  # of an image that can be resected from control
 MOST = 0.6  # share of such images from which on all are resected
 FINEST = 5e-4  # of the field: standard deviation of a direction in a start, half a pixel of a thousand
 SPREAD = 3.0  # times the standard deviation: rays before the adjustment fit no better
-LEAST_POINTS = 5  # of a resection: four and one to check them
+MIN_POINTS = 5  # of a resection: four and one to check them
 ROUGH = 0.1  # fields; median angle off, with which a resection is believed
 BEHIND = 0.1  # share of the points behind an image that is resected
 WAVES = 20
@@ -249,7 +249,7 @@ def _waves(work: _Work, state: State) -> tuple[State, int]:
         of_control = np.isin(work.sight.image, left) & usable & ~known[work.sight.point]
         count = np.bincount(work.sight.image[usable], minlength=len(state.centre))
         other = np.bincount(work.sight.image[of_control], minlength=len(state.centre))
-        left = left[count[left] >= np.where(other[left] > 0, LEAST_POINTS, CONTROL_RAYS)]
+        left = left[count[left] >= np.where(other[left] > 0, MIN_POINTS, CONTROL_RAYS)]
         if not len(left):
             break
         new = oriented(sight, left, np.nan_to_num(points), usable, work.block.structure.rotation_system)
@@ -286,7 +286,7 @@ def _answer(work: _Work, way: Way, state: State, rest: tuple) -> Approximation:
         block,
         (on_device(centre), on_device(angles), on_device(points)),
     )
-    new, _ = with_figures(new)
+    new, _ = with_planes_and_lines(new)
     members = _parts(work, state, parts)
     loose = tuple(s.image_names[k] for k in np.flatnonzero(~done))
     names = tuple(OrientedPart(tuple(s.image_names[k] for k in images), basis) for images, basis in members)

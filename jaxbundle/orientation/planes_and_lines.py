@@ -27,7 +27,7 @@ DIRECTIONS = tuple(
 )
 
 
-def with_figures(block: Block) -> tuple[Block, list[Problem]]:
+def with_planes_and_lines(block: Block) -> tuple[Block, list[Problem]]:
     """The block with parameters and frames in place of those that are NaN, and figures that cannot be fitted."""
     values = np.array(block.parameters)
     constants = [np.array(group.constants) for group in block.groups]

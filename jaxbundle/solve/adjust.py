@@ -31,7 +31,7 @@ from jaxbundle.numerics.host import constant, on_device, on_host
 from jaxbundle.solve import levenberg_marquardt as solver
 from jaxbundle.solve.adjustment import Adjustment, Iterations, Status
 from jaxbundle.solve.answer import Ended, adjustment
-from jaxbundle.solve.checkpoint import Keeper, fingerprint, require_same_block
+from jaxbundle.solve.checkpoint import Checkpointer, fingerprint, require_same_block
 from jaxbundle.solve.damping import Marquardt, Undamped
 from jaxbundle.solve.free_network import constrained, freed
 from jaxbundle.solve.history import History, history_of
@@ -172,7 +172,8 @@ def _solved(run: "_Run", rule: AbstractStoppingRule) -> tuple[OrderedUnknowns, I
         return to_elimination_order(run.plan, unknowns), iterations
     if not block.concrete:
         return _in_one(run)
-    return _step_by_step(run, None if checkpoint is None else Keeper(checkpoint, fingerprint(block, options.method)))
+    saved = None if checkpoint is None else Checkpointer(checkpoint, fingerprint(block, options.method))
+    return _step_by_step(run, saved)
 
 
 def devices_of(block: Block, wanted: int | None) -> int:
@@ -222,7 +223,7 @@ def _in_one(run: _Run) -> tuple[OrderedUnknowns, Iterations]:
     return found.unknowns, _iterations(found.state, status_of(found.result), history)
 
 
-def _step_by_step(run: _Run, keeper: Keeper | None) -> tuple[OrderedUnknowns, Iterations]:
+def _step_by_step(run: _Run, checkpointer: Checkpointer | None) -> tuple[OrderedUnknowns, Iterations]:
     """One step per call, so that progress can be shown, the solve can be stopped and resumed from a checkpoint."""
     bundle, most, progress = (
         BundleSolver(DAMPINGS[run.options.method]()),
@@ -230,8 +231,8 @@ def _step_by_step(run: _Run, keeper: Keeper | None) -> tuple[OrderedUnknowns, It
         run.watch.progress,
     )
     start, state = unknowns_of(run.block), bundle.first()
-    if keeper is not None:
-        start, state = keeper.resumed(start, state)
+    if checkpointer is not None:
+        start, state = checkpointer.resumed(start, state)
         new = bundle.first()
         state = state._replace(ended=new.ended, result=new.result)  # the status in a file is not used
     unknowns, problem, state = placed(to_elimination_order(run.plan, start), run.args.problem, state)
@@ -248,9 +249,9 @@ def _step_by_step(run: _Run, keeper: Keeper | None) -> tuple[OrderedUnknowns, It
             accepted = int(state.accepted) > before
             numbers = float(state.cost), float(state.used_damping), float(state.step)
             entries.append((int(state.trials) - 1, *numbers, accepted))
-            if keeper is not None and accepted and not bool(state.ended):
+            if checkpointer is not None and accepted and not bool(state.ended):
                 # the last step is not saved: a resumed solve repeats it with the same result
-                keeper.keep(to_block_order(run.plan, found.unknowns), state)
+                checkpointer.save(to_block_order(run.plan, found.unknowns), state)
             if progress is not None:
                 progress(_progress(run.block, state, accepted))
             if accepted:

@@ -134,7 +134,7 @@ class Adjustment(eqx.Module):
             ("verdict", self.verdict),
             ("sigma0", f"{float(self.sigma0):.6g}"),
             ("block", ", ".join((*counts, counted(len(structure.ray_image), "ray")))),
-            ("redundancy", f"{self.redundancy} = {self.observations} observations - {self.unknowns} unknowns"),
+            ("redundancy", f"{self.redundancy} = {self.n_observations} observations - {self.n_unknowns} unknowns"),
             ("datum", str(structure.datum)),
             ("iterations", f"{int(self.iterations.trials)}, {int(self.iterations.accepted)} accepted"),
         ]
@@ -161,14 +161,14 @@ class Adjustment(eqx.Module):
         return with_weights(self.block, np.asarray(self.block.rays.sigmas), np.asarray(self.reweighting.weights))
 
     @property
-    def observations(self) -> int:
+    def n_observations(self) -> int:
         """M."""
-        return self.block.observations
+        return self.block.n_observations
 
     @property
-    def unknowns(self) -> int:
+    def n_unknowns(self) -> int:
         """N."""
-        return self.block.structure.unknowns
+        return self.block.structure.n_unknowns
 
     @property
     def redundancy(self) -> int:
@@ -338,7 +338,7 @@ class Adjustment(eqx.Module):
             f"The adjustment {self._verdict(failures)}"
             f" ({self.method}, {int(n.accepted)} steps of {int(n.trials)} tried,"
             f" stopping rule {self.stopping_rule}: {float(n.measure):.1e})",
-            f"Observations {self.observations}, unknowns {self.unknowns}, redundancy {self.redundancy}",
+            f"Observations {self.n_observations}, unknowns {self.n_unknowns}, redundancy {self.redundancy}",
             f"Datum: {structure.datum}",
             f"Reduced normal equations: {REDUCED[self.reduced]}",
             f"vTPv {float(n.initial_cost) * 2:.8g} -> {float(self.vtpv):.8g}, sigma0 {float(self.sigma0):.6g}",

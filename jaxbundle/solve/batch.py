@@ -34,7 +34,7 @@ def row_of(name: str, a: Adjustment, seconds: float) -> Row:
     status = a.status.name.lower().replace("_", " ")
     problem = "; ".join(finding.words for finding in a.failures)
     sigma0, iterations = float(a.sigma0), int(a.iterations.trials)
-    return Row(name, status, a.observations, a.unknowns, a.redundancy, sigma0, iterations, seconds, problem)
+    return Row(name, status, a.n_observations, a.n_unknowns, a.redundancy, sigma0, iterations, seconds, problem)
 
 
 def failed_row(name: str, error: Exception, seconds: float) -> Row:

@@ -24,7 +24,7 @@ from jaxbundle.statistics.hypotheses import Cause, Hypothesis
 
 CONTROLLED = 1e-6  # part of an error that the residuals show; of less, rounding is a part
 CONTROLLED_AS_GROUP = 0.01  # of a group: what the unknowns imitate so well is no error of the observations
-LEAST_SCALE = 0.02  # of all rays of an image: less is no wrong resolution but what the camera model leaves
+MIN_SCALE = 0.02  # of all rays of an image: less is no wrong resolution but what the camera model leaves
 TINY = 1e-250  # probabilities below are computed as logarithms
 EXACT = 0.1  # of a mistake whose size is 1: so much may the linear estimate of its size be off beside SURE s.d.
 SURE = 4.0
@@ -106,7 +106,7 @@ class Selection:
         f = found.statistic / np.maximum(found.degrees, 1) / np.maximum(left, 1.0)
         usable = (found.degrees > 0) & (t.redundancy > found.degrees)
         wrong_size = np.abs(sizes - 1) > EXACT + SURE * deviations * np.sqrt(np.maximum(left, 1.0))
-        usable &= ~(self._exact & wrong_size) & ~(self._scales & (np.abs(sizes) < LEAST_SCALE))
+        usable &= ~(self._exact & wrong_size) & ~(self._scales & (np.abs(sizes) < MIN_SCALE))
         log = np.where(usable, log_probability(f, found.degrees, t.redundancy - found.degrees), 0.0)
         return found._replace(log_probability=log)
 

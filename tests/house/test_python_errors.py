@@ -47,7 +47,7 @@ OF_BLOCKS = {
     "statistics.control_rays": (),
     "statistics.image_rays": ((), "strip"),
     "statistics.observations_of_kind": ("control",),
-    "statistics.three_groups": (),
+    "statistics.default_groups": (),
     "statistics.tie_rays": (),
 }
 OF_ADJUSTMENTS = {
