@@ -287,7 +287,7 @@ def approximate(
 @app.command(rich_help_panel=_CHECK)
 def check_partials(draws: Annotated[int, typer.Option(min=1, help="Number of random rays.")] = 100_000) -> None:
     """Check the 18 partial derivatives of the image equations (Text 000) against automatic differentiation."""
-    raise typer.Exit(_loaded("partials").run(draws))
+    raise typer.Exit(_loaded("checking_partials").run(draws))
 
 
 @app.command(rich_help_panel=_LEARN)

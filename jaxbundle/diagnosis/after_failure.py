@@ -101,7 +101,7 @@ def _extreme_control(
 
 
 def _wrong_control(start: Block, adjustment: Adjustment) -> list[Finding]:
-    """Control points without which the block converges."""
+    """Findings about control points without which the block converges."""
     control = as_observed(start)
     if control is None or len(control.point) < LEAST:
         return []
@@ -113,7 +113,7 @@ def _wrong_control(start: Block, adjustment: Adjustment) -> list[Finding]:
         return []
     error = np.linalg.norm(_errors(control, without), axis=1)
     large = wrong & (error > SIDE_EFFECT * error[wrong].max())
-    if (large != wrong).any():  # innocent points that were bent by the large errors
+    if (large != wrong).any():  # correct points that the large errors displaced
         again = tried(_held_back(control, large))
         if again is not None and float(again.sigma0) <= ABSURD:
             wrong, without = large, again
@@ -124,7 +124,7 @@ def _wrong_control(start: Block, adjustment: Adjustment) -> list[Finding]:
 
 
 def _far_off(control: ObservedControl) -> Bool[np.ndarray, " member"] | None:
-    """Control points that stand far off when the others agree."""
+    """Indices of control points that are far off when the others agree."""
     block, group = started_where_rays_meet(control.block), control.block.groups[control.group]
     observed, values = group.structure.observed, np.asarray(group.values)
     sigma = np.full(len(values), LOOSE * depth(block))
@@ -163,14 +163,14 @@ def _held_back(control: ObservedControl, wrong: Bool[np.ndarray, " member"]) -> 
 
 
 def _errors(control: ObservedControl, found: Adjustment) -> Float[np.ndarray, "member 3"]:
-    """Given less adjusted coordinates, 0 where nothing is given."""
+    """Given - adjusted coordinates, 0 where not given."""
     group = control.block.groups[control.group]
     error = np.asarray(group.values) - on_host(found.block.object_points)[control.point]
     return np.where(group.structure.observed, error, 0.0)
 
 
 def _named(start: Block, control: ObservedControl, wrong: Bool[np.ndarray, " member"], without: Adjustment) -> Finding:
-    """The control points that were held back, with their errors."""
+    """The finding about the control points that were left out, with their errors."""
     s, members = start.structure, np.flatnonzero(wrong)
     error = _errors(control, without)[members]
     size = np.linalg.norm(error, axis=1)
