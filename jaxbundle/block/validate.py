@@ -15,7 +15,7 @@ from jaxbundle.block.problems import BlockError, Problem
 
 def validate(block: Block) -> list[Problem]:
     """Problems of a concrete block, in the best order to solve them."""
-    require_a(Block, block, "validate")
+    require_a(Block, block, "blocks.validate")
     wrong = inconsistencies(block)
     if wrong:
         return wrong  # no other check is possible

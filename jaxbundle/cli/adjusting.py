@@ -34,7 +34,7 @@ from jaxbundle.solve.adjust import Progress, adjust
 from jaxbundle.solve.adjustment import Adjustment
 from jaxbundle.solve.checkpoint import CheckpointError, ClusterError
 from jaxbundle.solve.options import Options
-from jaxbundle.solve.stopping import AbstractStoppingRule, AngleRule, PointRule, parallax_rule, unknown_rule
+from jaxbundle.solve.stopping_rules import AbstractStoppingRule, AngleRule, PointRule, parallax_rule, unknown_rule
 from jaxbundle.solve.weight_functions import WEIGHT_FUNCTIONS, AbstractWeightFunction
 
 

@@ -10,7 +10,7 @@ from jaxbundle.cli.codes import BadInput
 from jaxbundle.numerics.whole_files import write_whole
 from jaxbundle.report.comparison import compare_reports, congruency
 from jaxbundle.report.comparison_report import comparison_html, comparison_text
-from jaxbundle.report.folder import DATA
+from jaxbundle.report.result_folder import DATA
 
 
 def run(first: Path, second: Path, out: Path | None, surveys: bool, level: float) -> None:

@@ -11,7 +11,7 @@ from jaxbundle.cli.progress import ProgressLines
 from jaxbundle.diagnosis.adjusted import findings
 from jaxbundle.io import write_block_folder
 from jaxbundle.planning.flight import AerialCamera
-from jaxbundle.planning.simulate import Simulation, simulate
+from jaxbundle.planning.simulation import Simulation, simulate
 from jaxbundle.report.files import write_report
 from jaxbundle.report.text import aligned
 from jaxbundle.solve.adjust import adjust

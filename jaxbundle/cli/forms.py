@@ -6,7 +6,7 @@ import typer
 
 from jaxbundle.block.block import Block
 from jaxbundle.io import export, write_bal, write_block_folder, write_format
-from jaxbundle.io.formats.registry import FORMATS, WRITTEN
+from jaxbundle.io.formats.format_table import FORMATS, WRITTEN
 from jaxbundle.io.results.export import EXPORTS
 
 BAL, FOLDER, SHOWN = "bal", "block-folder", "export"

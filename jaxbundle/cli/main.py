@@ -14,10 +14,10 @@ from typing import Annotated, Literal
 
 import typer
 
-from jaxbundle.cli import codes, photographs, planning
+from jaxbundle.cli import codes, photograph_commands, planning
 from jaxbundle.cli.cluster import Cluster, cluster_of
 from jaxbundle.cli.interruption import Interruption
-from jaxbundle.cli.options import (
+from jaxbundle.cli.shared_options import (
     CLUSTER,
     SOLVER,
     AttitudeSigma,
@@ -39,7 +39,7 @@ from jaxbundle.cli.options import (
     Stop,
     Unknown,
 )
-from jaxbundle.cli.told import Told
+from jaxbundle.cli.source_options import Told
 
 _METHOD = "Method"  # a heading in the help of adjust
 _WORK, _LEARN, _CHECK = "Adjust", "Learn and start", "Check the program"  # headings in the list of commands
@@ -54,8 +54,8 @@ app = typer.Typer(
 )
 
 app.add_typer(planning.app, name="plan")
-app.command(rich_help_panel=_WORK)(photographs.measure)
-app.command(rich_help_panel=_WORK)(photographs.pyramid)
+app.command(rich_help_panel=_WORK)(photograph_commands.measure)
+app.command(rich_help_panel=_WORK)(photograph_commands.pyramid)
 
 
 def main() -> None:
@@ -241,7 +241,7 @@ def adjust(
                 interior,
                 pixel_size,
             )
-            sources = importlib.import_module("jaxbundle.cli.sources").sources_of(told)
+            sources = importlib.import_module("jaxbundle.cli.source_values").sources_of(told)
             wanted = adjusting.Wanted(
                 options,
                 stop,
@@ -287,7 +287,7 @@ def approximate(
 @app.command(rich_help_panel=_CHECK)
 def check_partials(draws: Annotated[int, typer.Option(min=1, help="Number of random rays.")] = 100_000) -> None:
     """Check the 18 partial derivatives of the image equations (Text 000) against automatic differentiation."""
-    raise typer.Exit(_loaded("partials").run(draws))
+    raise typer.Exit(_loaded("checking_partials").run(draws))
 
 
 @app.command(rich_help_panel=_LEARN)
@@ -372,4 +372,4 @@ def convert(
     told = Told(
         form, control, stations, control_sigma, station_sigma, attitude_sigma, image_size, chunk, interior, pixel_size
     )
-    converting.run(path, out, to, importlib.import_module("jaxbundle.cli.sources").sources_of(told))
+    converting.run(path, out, to, importlib.import_module("jaxbundle.cli.source_values").sources_of(told))

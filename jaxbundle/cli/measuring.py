@@ -11,9 +11,9 @@ from jaxbundle.cli.codes import BadInput, Code
 from jaxbundle.cli.progress import Phases
 from jaxbundle.imagery.match_types import Refusal
 from jaxbundle.imagery.pyramid_file import pyramid
-from jaxbundle.imagery.refine import refine
+from jaxbundle.imagery.refinement import refine
 from jaxbundle.io import read, write_block_folder
-from jaxbundle.measuring.measure import CameraGiven, MeasureOptions, measure
+from jaxbundle.measuring.measurement import CameraGiven, MeasureOptions, measure
 from jaxbundle.measuring.photo_set import read_positions
 from jaxbundle.report.text import wrapped
 

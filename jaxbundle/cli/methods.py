@@ -4,9 +4,9 @@ from collections.abc import Callable
 from typing import NamedTuple
 
 from jaxbundle.block.block import Block
-from jaxbundle.independent.adjust_models import adjust_models
-from jaxbundle.independent.adjust_strips import adjust_strips
+from jaxbundle.independent.model_adjustment import adjust_models
 from jaxbundle.independent.polynomials import Form
+from jaxbundle.independent.strip_adjustment import adjust_strips
 from jaxbundle.report.method_sections import MethodAdjustment
 from jaxbundle.solve.adjust import Progress
 from jaxbundle.solve.options import Options

@@ -12,13 +12,13 @@ from jaxbundle.io import read, write_block_folder
 from jaxbundle.io.flight_toml import read_flight
 from jaxbundle.io.tables import write_table
 from jaxbundle.planning.accuracy import Specification, check_specification, control_of, in_area, mean_variance
-from jaxbundle.planning.candidates import Candidates, candidates_of
+from jaxbundle.planning.control_candidates import Candidates, candidates_of
 from jaxbundle.planning.control_search import Layout, Objective, best_layout
-from jaxbundle.planning.design import derivatives_of
-from jaxbundle.planning.monte_carlo import monte_carlo as scatter_of
-from jaxbundle.planning.predict import predict
-from jaxbundle.planning.sensitivity import Effect, Sensitivity, sensitivity
-from jaxbundle.planning.simulate import simulate_flight
+from jaxbundle.planning.design_derivatives import derivatives_of
+from jaxbundle.planning.monte_carlo_runs import monte_carlo as scatter_of
+from jaxbundle.planning.prediction import predict
+from jaxbundle.planning.sensitivities import Effect, Sensitivity, sensitivity
+from jaxbundle.planning.simulation import simulate_flight
 from jaxbundle.report.planned import write_plan
 from jaxbundle.report.sigma_map import Map, sigma_map
 from jaxbundle.report.text import aligned

@@ -26,7 +26,7 @@ from jaxbundle.cli.interruption import Interruption
 from jaxbundle.cli.progress import ProgressLines
 from jaxbundle.io.tables import write_table
 from jaxbundle.numerics.whole_files import marked_name, sync_file
-from jaxbundle.report.folder import require_writable
+from jaxbundle.report.result_folder import require_writable
 from jaxbundle.solve.adjustment import Status
 from jaxbundle.solve.batch import Row, failed_row, row_of, table_lines, unique
 

@@ -8,7 +8,7 @@ from pathlib import Path
 import typer
 
 from jaxbundle.cli.codes import BadInput
-from jaxbundle.report.folder import PAGE, TEXT
+from jaxbundle.report.result_folder import PAGE, TEXT
 
 
 def run(folder: Path, in_text: bool) -> None:

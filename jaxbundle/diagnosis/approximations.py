@@ -20,8 +20,8 @@ from jaxbundle.orientation.alternatives import (
     of_both,
     of_stations,
 )
+from jaxbundle.orientation.checked_start import CheckedStart
 from jaxbundle.orientation.sight import HALF, Sight, mostly_beyond, off, only, relative_off
-from jaxbundle.orientation.start import CheckedStart
 
 MOST = 0.5  # an image is named if the point is behind it for this share of its rays
 FEW_BEHIND = 0.01  # share of all rays: real blocks have some distant or wrong points behind images

@@ -14,9 +14,9 @@ from jaxbundle.diagnosis.approximations import mirrored_finding, start_findings,
 from jaxbundle.diagnosis.image_format import format_findings
 from jaxbundle.diagnosis.interior import interior_findings
 from jaxbundle.diagnosis.systems import control_findings
+from jaxbundle.orientation.checked_start import checked_start
 from jaxbundle.orientation.from_nothing import with_images_replaced
 from jaxbundle.orientation.sight import sight_of
-from jaxbundle.orientation.start import checked_start
 from jaxbundle.orientation.start_findings import found_orientations
 
 

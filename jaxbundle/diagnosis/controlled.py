@@ -7,7 +7,7 @@ from jaxbundle.block.findings import Finding, Kind, Severity, Subject
 from jaxbundle.block.wording import are, counted, figure, named
 from jaxbundle.diagnosis.rays_in_words import ray_name, ray_subject
 from jaxbundle.solve.adjustment import Adjustment
-from jaxbundle.statistics.reliability import UNCONTROLLED, reliability
+from jaxbundle.statistics.reliability_tables import UNCONTROLLED, reliability
 from jaxbundle.statistics.snooping import describe
 
 FEW_RAYS = 8  # rays of an image: twice the number for its six unknowns, and a margin of one point

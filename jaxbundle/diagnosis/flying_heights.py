@@ -15,7 +15,7 @@ from jaxbundle.block.depths import viewing_directions
 from jaxbundle.block.findings import Finding, Kind, Subject
 from jaxbundle.block.wording import figure
 from jaxbundle.solve.adjustment import Adjustment
-from jaxbundle.statistics.precision import covariance_of
+from jaxbundle.statistics.covariance import covariance_of
 
 HIGH_CORRELATION = 0.95
 VERTICAL = 0.966  # cosine of 15 degrees between a camera axis and the vertical

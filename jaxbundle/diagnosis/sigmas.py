@@ -17,7 +17,7 @@ from scipy.special import chdtri, fdtrc
 
 from jaxbundle.block.findings import Finding, Kind, Subject
 from jaxbundle.solve.adjustment import Adjustment
-from jaxbundle.statistics.reliability import redundancy_numbers
+from jaxbundle.statistics.reliability_tables import redundancy_numbers
 from jaxbundle.statistics.subsets import three_groups
 
 LEVEL = 0.05

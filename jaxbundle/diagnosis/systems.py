@@ -137,7 +137,7 @@ def _single(block: Block, control: _Control) -> list[Finding]:
             other = s.point_names[control.point[partner]]
             done.add(partner)
             what = (
-                f"control points {name} and {other} lie {off[k]:.4g} and {off[partner]:.4g} {s.object_unit} from the"
+                f"control points {name} and {other} lie {off[k]:.4g} and {off[partner]:.4g} {s.object_unit} from"
                 " intersections of their rays; with their names exchanged they would agree"
             )
             subjects, cure = (*subjects, Subject("control", (other,))), "exchange the two names"

@@ -2,8 +2,8 @@
 
 Gross errors of thousands of pixels distort a least-squares solution so much that large residuals also occur at correct
 rays. The approximate values are not yet distorted: rays with residuals many times larger than those of the others are
-left out first, and those that still do not fit afterwards are wrong. If this fails, robust weights (solve/robust.py)
-are tried. The findings are single rays, rays with exchanged names or axes, control points that contradict all their
+left out first, and those that still do not fit afterwards are wrong. If this fails, robust weights
+(solve/reweighting.py) are tried. The findings are single rays, rays with exchanged names or axes, control points that contradict all their
 rays, or whole images.
 """
 
@@ -13,7 +13,7 @@ from jaxtyping import Bool, Float, Int
 
 from jaxbundle.block.block import Block
 from jaxbundle.block.findings import Finding, Kind, Subject
-from jaxbundle.block.observations import CONTROL
+from jaxbundle.block.observation_kinds import CONTROL
 from jaxbundle.block.residuals import observations_of, ray_residuals
 from jaxbundle.block.unknowns import unknowns_of
 from jaxbundle.block.wording import counted, figure, named

@@ -35,7 +35,7 @@ from jaxbundle.io.ranges import (
     PRINCIPAL_DISTANCES,
     TURNS,
 )
-from jaxbundle.io.text import require_bytes
+from jaxbundle.io.text_files import require_bytes
 from jaxbundle.numerics.host import on_device
 
 HEAD = 200  # characters that contain the first line
@@ -227,7 +227,7 @@ def write_bal(block: Block, path: str | Path) -> None:
 
     Raises: BlockError where a camera has a model other than `bal`.
     """
-    require_a(Block, block, "write_bal")
+    require_a(Block, block, "io.write_bal")
     structure = block.structure
     problems = [
         Problem(f"camera {camera.name} has the model '{camera.model.name}'", "BAL files support the model 'bal' only")

@@ -29,16 +29,16 @@ from jaxbundle.diagnosis.before import prepared
 from jaxbundle.geometry.rotation import ROTATION_SYSTEMS
 from jaxbundle.io.block_toml import FILE, BlockToml, read_block_toml
 from jaxbundle.io.fiducial_tables import with_inner_orientations
+from jaxbundle.io.file_problems import told_of
 from jaxbundle.io.folder_tables import FolderTables, RayRows, checked_tables, read_tables
 from jaxbundle.io.known_tables import KnownRows
 from jaxbundle.io.noted import Noted, listed
 from jaxbundle.io.observation_groups import found_in, interior_groups, interior_values
 from jaxbundle.io.settings import CameraSection, DatumSection, Settings
 from jaxbundle.io.tables import Table
-from jaxbundle.io.told import told_of
 from jaxbundle.io.unused import unused
-from jaxbundle.orientation.figures import with_figures
 from jaxbundle.orientation.intersection import intersect
+from jaxbundle.orientation.planes_and_lines import with_figures
 
 
 def read_block_folder(path: str | Path, *, check_start: bool = True) -> Block:

@@ -9,15 +9,15 @@ from jaxtyping import Float
 from jaxbundle.block.block import CENTRE_ELEMENTS, Block, Camera, Structure
 from jaxbundle.block.given import require_a
 from jaxbundle.block.navigation import ATTITUDES, GNSS
-from jaxbundle.block.observations import CONTROL, PARAMETERS, STATIONS, ObservationKind, interior_priors
+from jaxbundle.block.observation_kinds import CONTROL, PARAMETERS, STATIONS, ObservationKind, interior_priors
 from jaxbundle.block.problems import BlockError, Problem
 from jaxbundle.block.wording import RADIANS
+from jaxbundle.camera.camera_models import CAMERA_MODELS, named_model
 from jaxbundle.camera.model import CORRECTIONS
-from jaxbundle.camera.registry import CAMERA_MODELS, named_model
 from jaxbundle.io.block_tables import COORDINATES, TABLES, table_of_kind
 from jaxbundle.io.block_toml import FILE, write_block_toml
 from jaxbundle.io.known_tables import COVARIANCES, PLACES
-from jaxbundle.io.navigation import navigation_columns, navigation_problems, navigation_sections
+from jaxbundle.io.navigation_tables import navigation_columns, navigation_problems, navigation_sections
 from jaxbundle.io.observation_writer import (
     Prior,
     observation_columns,

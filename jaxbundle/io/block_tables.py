@@ -1,7 +1,7 @@
 """Descriptions of all tables of the block folder, format 1.
 
 To add a kind of observation, add one entry to `TABLES`: its columns, and a function that returns the kind with
-its residual (block/observations.py). Tables with `plain=True` are read, checked and written without further code.
+its residual (block/observation_kinds.py). Tables with `plain=True` are read, checked and written without further code.
 """
 
 from collections.abc import Callable
@@ -9,7 +9,7 @@ from dataclasses import replace
 from functools import partial
 
 from jaxbundle.block.geodetic import LINES, PLANES, geodetic_kind
-from jaxbundle.block.observations import CONTROL, STATIONS, ObservationKind
+from jaxbundle.block.observation_kinds import CONTROL, STATIONS, ObservationKind
 from jaxbundle.io.schema import Column, Holds, OwnerSchema, TableSchema, Unit, called
 
 COORDINATES = ("X", "Y", "Z")

@@ -18,7 +18,7 @@ from jaxbundle.geometry.rotation import OMEGA_PHI_KAPPA, ROTATION_SYSTEMS, Rotat
 from jaxbundle.io.block_tables import REQUIRED, TABLES
 from jaxbundle.io.noted import Noted, listed
 from jaxbundle.io.settings import SECTIONS, Settings
-from jaxbundle.io.text import read_text
+from jaxbundle.io.text_files import read_text
 
 FILE = "block.toml"
 LONGEST = 4_000_000  # characters: thousands of cameras

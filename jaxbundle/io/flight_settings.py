@@ -7,7 +7,7 @@ from typing import Annotated, Any, Literal
 from pydantic import BeforeValidator, Field, field_validator, model_validator
 
 from jaxbundle.block.problems import shown
-from jaxbundle.camera.registry import CAMERA_MODELS
+from jaxbundle.camera.camera_models import CAMERA_MODELS
 from jaxbundle.io.ranges import Coefficient, Length, PixelSize, PrincipalDistance, Sigma, Triple, problem
 from jaxbundle.io.settings import Section, coefficient_names
 from jaxbundle.planning.flight import CONTROL_KINDS, CONTROL_LAYOUTS, SYSTEMATIC_OF, TIE_LAYOUTS, AerialCamera

@@ -20,7 +20,7 @@ from jaxbundle.io.flight_settings import (
     meant,
 )
 from jaxbundle.io.noted import Noted
-from jaxbundle.io.text import read_text
+from jaxbundle.io.text_files import read_text
 from jaxbundle.planning.accuracy import Specification
 from jaxbundle.planning.flight import ControlSet, FlightPlan, GrossErrors, Navigation, Terrain, Ties
 from jaxbundle.planning.terrain import grid_heights, slope, waves

@@ -16,7 +16,7 @@ from jaxbundle.camera.fiducials import InnerOrientation
 from jaxbundle.io.block_tables import COORDINATES, TABLES
 from jaxbundle.io.block_toml import FILE, BlockToml
 from jaxbundle.io.known_tables import KNOWN, KnownRows, identification, known_rows
-from jaxbundle.io.navigation import Navigation, navigation
+from jaxbundle.io.navigation_tables import Navigation, navigation
 from jaxbundle.io.noted import Noted, measured_again
 from jaxbundle.io.observation_tables import Entities, ObservedRows, OwnerRows, observed_rows, owner_rows, points_named
 from jaxbundle.io.schema import Holds

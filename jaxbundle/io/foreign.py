@@ -3,7 +3,7 @@
 import codecs
 from pathlib import Path
 
-from jaxbundle.io.text import known_bytes
+from jaxbundle.io.text_files import known_bytes
 
 FOLDERS: tuple[tuple[str, tuple[str, ...]], ...] = (  # description, and files that must all exist
     ("a COLMAP model", ("cameras.bin", "images.bin")),

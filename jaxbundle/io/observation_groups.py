@@ -1,7 +1,7 @@
 """Groups of observations and their parameters from the rows of a block folder's tables.
 
-Values that are not in the tables are NaN and are computed from approximate coordinates (orientation/figures.py): the
-orientations of sets of directions, planes and lines.
+Values that are not in the tables are NaN and are computed from approximate coordinates
+(orientation/planes_and_lines.py): the orientations of sets of directions, planes and lines.
 """
 
 from dataclasses import dataclass, field
@@ -10,7 +10,7 @@ import numpy as np
 from jaxtyping import Int
 
 from jaxbundle.block.block import Owner, Parameter
-from jaxbundle.block.observations import (
+from jaxbundle.block.observation_kinds import (
     CONTROL,
     PARAMETERS,
     STATIONS,
@@ -23,7 +23,7 @@ from jaxbundle.block.wording import RADIANS
 from jaxbundle.io.block_toml import BlockToml
 from jaxbundle.io.folder_tables import FolderTables
 from jaxbundle.io.known_tables import KnownRows
-from jaxbundle.io.navigation import SYSTEMATIC, axes_of, navigation_kind, parameter_name, section_of, unit_of
+from jaxbundle.io.navigation_tables import SYSTEMATIC, axes_of, navigation_kind, parameter_name, section_of, unit_of
 from jaxbundle.io.observation_tables import ObservedRows, OwnerRows
 from jaxbundle.io.schema import Unit
 from jaxbundle.io.settings import CameraSection, Settings

@@ -10,7 +10,7 @@ from typing import NamedTuple
 import numpy as np
 
 from jaxbundle.block.block import Block
-from jaxbundle.block.observations import PARAMETERS, ObservationGroup
+from jaxbundle.block.observation_kinds import PARAMETERS, ObservationGroup
 from jaxbundle.block.problems import Problem
 from jaxbundle.block.wording import IMAGE, RADIANS
 from jaxbundle.io.block_tables import TABLES, table_of_kind

@@ -11,7 +11,7 @@ from collections.abc import Callable, Sequence
 from dataclasses import dataclass
 from enum import Enum
 
-from jaxbundle.block.observations import ObservationKind
+from jaxbundle.block.observation_kinds import ObservationKind
 from jaxbundle.geometry.rotation import OMEGA_PHI_KAPPA, RotationSystem
 from jaxbundle.io.ranges import (
     LARGEST_COVARIANCE,

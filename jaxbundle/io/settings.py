@@ -6,10 +6,10 @@ from pydantic import AfterValidator, BaseModel, ConfigDict, Field, field_validat
 
 from jaxbundle.block.problems import shown
 from jaxbundle.camera.additional_parameters import GRID_SHARE
+from jaxbundle.camera.camera_models import CAMERA_MODELS
 from jaxbundle.camera.corrections import curvature_coefficient, refraction_coefficient, with_corrections
 from jaxbundle.camera.fiducials import PARAMETERS
 from jaxbundle.camera.model import CameraModel
-from jaxbundle.camera.registry import CAMERA_MODELS
 from jaxbundle.geometry.rotation import ROTATION_SYSTEMS
 from jaxbundle.io.block_tables import REQUIRED, TABLES
 from jaxbundle.io.near_names import nearest

@@ -21,7 +21,7 @@ from jaxbundle.io.near_names import Match, nearest
 from jaxbundle.io.noted import Noted
 from jaxbundle.io.ranges import NOTHING, SMALLEST_SIGMA
 from jaxbundle.io.schema import Column, TableSchema
-from jaxbundle.io.text import read_text
+from jaxbundle.io.text_files import read_text
 
 Columns = Mapping[str, Sequence[str] | pl.Series | Float[np.ndarray, " row"]]
 Rows = Sequence[int] | Int[np.ndarray, " row"]

@@ -12,8 +12,8 @@ from jaxtyping import Float
 
 from jaxbundle.camera.additional_parameters import GRID_SHARE
 from jaxbundle.camera.brown import BROWN, DISTORTION_FREE
+from jaxbundle.camera.camera_models import CAMERA_MODELS
 from jaxbundle.camera.model import CameraModel
-from jaxbundle.camera.registry import CAMERA_MODELS
 
 SCATTER = 0.01  # of the flying height: stations off their places, and approximate values off the truth
 TIE_LAYOUTS = ("shaken", "grid", "random", "schematic")

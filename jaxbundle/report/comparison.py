@@ -16,7 +16,7 @@ import numpy as np
 from jaxtyping import Bool, Float
 from scipy.special import chdtrc, chdtri
 
-from jaxbundle.statistics.reliability import level_of_one
+from jaxbundle.statistics.reliability_tables import level_of_one
 
 TABLES = ("points", "images", "cameras", "parameters")
 TOLD = (

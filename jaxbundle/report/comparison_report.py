@@ -3,9 +3,9 @@
 import numpy as np
 
 from jaxbundle.report.comparison import Comparison, Congruency, Differences
+from jaxbundle.report.html.html_tables import section_html
 from jaxbundle.report.html.markup import tag, text
 from jaxbundle.report.html.page import whole_page
-from jaxbundle.report.html.tables import section_html
 from jaxbundle.report.section import (
     Chapter,
     Facts,

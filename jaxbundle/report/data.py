@@ -21,7 +21,7 @@ from jaxbundle.solve.adjustment import Adjustment
 
 def report_dict(adjustment: Adjustment) -> dict[str, Any]:
     """The report of a concrete adjustment as a dictionary: counts, sigma0, unknowns with standard deviations."""
-    require_a(Adjustment, adjustment, "report_dict")
+    require_a(Adjustment, adjustment, "report.report_dict")
     figures = figures_of(adjustment)
     return dict_of(figures, [*(section() for section in sections_of(figures)), made_section(figures)])
 

@@ -7,12 +7,12 @@ from jaxtyping import Bool, Float, Int
 
 from jaxbundle.block.block import Structure
 from jaxbundle.block.findings import Finding
-from jaxbundle.block.observations import CONTROL, ObservationGroup
+from jaxbundle.block.observation_kinds import CONTROL, ObservationGroup
 from jaxbundle.block.wording import RADIANS
 from jaxbundle.diagnosis.adjusted import findings
 from jaxbundle.report.group_tables import GroupTable, group_tables
 from jaxbundle.solve.adjustment import DOWN_WEIGHTED, Adjustment
-from jaxbundle.statistics.reliability import Reliability, reliability
+from jaxbundle.statistics.reliability_tables import Reliability, reliability
 from jaxbundle.statistics.significance import parameter_ratios
 
 

@@ -18,10 +18,10 @@ from jaxbundle.block.given import require_a, require_photographs
 from jaxbundle.io.tables import Columns, write_table
 from jaxbundle.report.data import dict_of, json_text
 from jaxbundle.report.figures import figures_of
-from jaxbundle.report.folder import DATA, PAGE, TEXT, replaced, require_writable
 from jaxbundle.report.group_tables import table_names
 from jaxbundle.report.html.page import html_of
 from jaxbundle.report.made import Made, made_now, made_section
+from jaxbundle.report.result_folder import DATA, PAGE, TEXT, replaced, require_writable
 from jaxbundle.report.section import Picked, ReportTable, Section
 from jaxbundle.report.sections import sections_of
 from jaxbundle.report.text import text_of

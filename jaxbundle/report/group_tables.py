@@ -7,7 +7,7 @@ import numpy as np
 from jaxtyping import Float
 
 from jaxbundle.block.block import Block, Parameter, Structure
-from jaxbundle.block.observations import PARAMETERS, ObservationGroup, ObservationKind
+from jaxbundle.block.observation_kinds import PARAMETERS, ObservationGroup, ObservationKind
 from jaxbundle.block.wording import IMAGE, RADIANS
 
 OTHER_NAMES = {"parameters": "priors", "interior": "interior_priors"}  # names of other tables of the report

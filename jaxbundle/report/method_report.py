@@ -11,9 +11,9 @@ from jaxbundle.io.tables import write_table
 from jaxbundle.report.data import dict_of, json_text
 from jaxbundle.report.figures import figures_of
 from jaxbundle.report.files import columns_of, report_size, tables_of
-from jaxbundle.report.folder import DATA, TEXT, replaced, require_writable
 from jaxbundle.report.group_tables import table_names
 from jaxbundle.report.method_sections import MethodAdjustment, method_sections
+from jaxbundle.report.result_folder import DATA, TEXT, replaced, require_writable
 from jaxbundle.report.text import text_of
 
 OWN_TABLES = {"models": ("models", "model_points"), "strips": ("strips", "coefficients", "corrected_points")}

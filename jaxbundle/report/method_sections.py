@@ -10,11 +10,10 @@ from functools import partial
 import numpy as np
 
 from jaxbundle.block.wording import RADIANS
-from jaxbundle.independent.adjust_models import ModelAdjustment
-from jaxbundle.independent.adjust_strips import StripAdjustment
+from jaxbundle.independent.model_adjustment import ModelAdjustment
 from jaxbundle.independent.propagation import Propagated
-from jaxbundle.report import sections as of_adjustment
-from jaxbundle.report import unknown_sections as of
+from jaxbundle.independent.strip_adjustment import StripAdjustment
+from jaxbundle.report import sections as of_adjustment, unknown_sections as of
 from jaxbundle.report.figures import Figures
 from jaxbundle.report.section import (
     Facts,

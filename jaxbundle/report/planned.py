@@ -11,10 +11,10 @@ from jaxbundle.block.wording import counted
 from jaxbundle.io.tables import write_table
 from jaxbundle.planning.accuracy import Specification, check_specification, control_of, in_area, summary_of
 from jaxbundle.planning.flight import FlightPlan
-from jaxbundle.planning.predict import Prediction
+from jaxbundle.planning.prediction import Prediction
 from jaxbundle.report.sigma_map import Map, sigma_map
 from jaxbundle.report.text import aligned
-from jaxbundle.statistics.reliability import UNCONTROLLED
+from jaxbundle.statistics.reliability_tables import UNCONTROLLED
 
 CORRELATED = (
     0.9  # correlation of two interior elements: above this they cannot be separated, and their errors bend the block

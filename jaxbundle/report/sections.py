@@ -6,7 +6,7 @@ from functools import partial
 import numpy as np
 
 from jaxbundle.block.findings import Finding
-from jaxbundle.block.observations import CONTROL
+from jaxbundle.block.observation_kinds import CONTROL
 from jaxbundle.diagnosis.elements import HIGH_CORRELATION, correlated_parameters
 from jaxbundle.diagnosis.sigmas import global_test
 from jaxbundle.report import unknown_sections
@@ -36,7 +36,7 @@ from jaxbundle.report.section import (
     with_unit,
 )
 from jaxbundle.solve.adjustment import DOWN_WEIGHTED
-from jaxbundle.statistics.reliability import UNCONTROLLED
+from jaxbundle.statistics.reliability_tables import UNCONTROLLED
 from jaxbundle.statistics.subsets import three_groups
 
 WORST, PAIRS = 20, 50  # numbers of rays and correlations in the text

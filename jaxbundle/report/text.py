@@ -15,7 +15,7 @@ WIDTH = 110
 
 def report_text(adjustment: Adjustment) -> str:
     """The report of a concrete adjustment, ASCII, at most 110 columns."""
-    require_a(Adjustment, adjustment, "report_text")
+    require_a(Adjustment, adjustment, "report.report_text")
     figures = figures_of(adjustment)
     return text_of(figures, [*(section() for section in sections_of(figures)), made_section(figures)])
 

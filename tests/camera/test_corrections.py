@@ -9,8 +9,8 @@ from cases.small_folder import change, make_small_folder
 
 from jaxbundle.block.problems import BlockError
 from jaxbundle.camera.brown import DISTORTION_FREE
+from jaxbundle.camera.camera_models import CAMERA_MODELS, named_model
 from jaxbundle.camera.corrections import EARTH_RADIUS, curvature_coefficient, refraction_coefficient, with_corrections
-from jaxbundle.camera.registry import CAMERA_MODELS, named_model
 from jaxbundle.io import read_block_folder, write_block_folder
 
 C = 153.0

@@ -19,7 +19,7 @@ from jaxbundle.cli.interruption import Interruption
 from jaxbundle.cli.progress import HEADER, ProgressLines
 from jaxbundle.io import read, write_block_folder
 from jaxbundle.solve.adjust import Progress, adjust
-from jaxbundle.solve.stopping import AngleRule, ParallaxRule, PointRule, UnknownRule
+from jaxbundle.solve.stopping_rules import AngleRule, ParallaxRule, PointRule, UnknownRule
 from jaxbundle.solve.weight_functions import Huber, Tukey
 
 ROOT = Path(__file__).parents[2]

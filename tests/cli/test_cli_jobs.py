@@ -16,7 +16,7 @@ from jaxbundle.cli import main, runtime, several
 from jaxbundle.cli.adjusting import Outcome
 from jaxbundle.cli.codes import Code
 from jaxbundle.io import write_block_folder
-from jaxbundle.planning.simulate import simulate
+from jaxbundle.planning.simulation import simulate
 from jaxbundle.solve.adjust import adjust
 from jaxbundle.solve.adjustment import Status
 

@@ -22,7 +22,7 @@ from jaxbundle.geometry.rotation import OMEGA_PHI_KAPPA
 from jaxbundle.solve.adjust import adjust
 from jaxbundle.solve.adjustment import Adjustment, Status
 from jaxbundle.solve.verdict import with_verdict
-from jaxbundle.statistics.reliability import redundancy_numbers
+from jaxbundle.statistics.reliability_tables import redundancy_numbers
 from jaxbundle.statistics.significance import insignificant
 
 

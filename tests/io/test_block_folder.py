@@ -22,7 +22,7 @@ from jaxbundle.block.block import Block, Datum
 from jaxbundle.block.datum import with_datum
 from jaxbundle.block.findings import Kind, Severity
 from jaxbundle.block.geodetic import DISTANCES
-from jaxbundle.block.observations import CONTROL, STATIONS, ObservationKind, observation_group
+from jaxbundle.block.observation_kinds import CONTROL, STATIONS, ObservationKind, observation_group
 from jaxbundle.block.problems import BlockError
 from jaxbundle.camera.model import CameraModel
 from jaxbundle.geometry.rotation import ALPHA_OMEGA_KAPPA

@@ -10,8 +10,7 @@ import pytest
 from cases.bal_file import TINY
 from cases.mutated_files import bal_mutated, folder_mutated, put
 from cases.small_folder import POINTS, change, make_small_folder, write
-from hypothesis import HealthCheck, given, settings
-from hypothesis import strategies as st
+from hypothesis import HealthCheck, given, settings, strategies as st
 
 from jaxbundle.block.block import Block
 from jaxbundle.block.problems import BlockError, is_hidden

@@ -1,8 +1,7 @@
 """Names that match but for a little: what matches, under which change, and what does not."""
 
 import pytest
-from hypothesis import given, settings
-from hypothesis import strategies as st
+from hypothesis import given, settings, strategies as st
 
 from jaxbundle.io.near_names import nearest, slip
 

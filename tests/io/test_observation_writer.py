@@ -12,7 +12,7 @@ from cases.same_block import assert_same_group, number
 from cases.surveyed_site import PAIRS, make_surveyed_folder
 
 from jaxbundle.block.block import Block, Parameter
-from jaxbundle.block.observations import CONTROL, ObservationGroup
+from jaxbundle.block.observation_kinds import CONTROL, ObservationGroup
 from jaxbundle.block.problems import BlockError
 from jaxbundle.io import read_block_folder, write_block_folder
 

@@ -9,7 +9,7 @@ from cases.same_block import assert_same, group_of
 from cases.small_folder import append, change, make_small_folder, write
 
 from jaxbundle.block.geodetic import position
-from jaxbundle.block.observations import ObservationKind
+from jaxbundle.block.observation_kinds import ObservationKind
 from jaxbundle.block.problems import BlockError
 from jaxbundle.geometry.rotation import ROTATION_SYSTEMS, Scalar
 from jaxbundle.io import block_tables, read_block_folder, write_block_folder

@@ -14,7 +14,7 @@ from cases.surveyed_site import BARS, GON, PAIRS, make_surveyed_folder
 
 from jaxbundle.block.block import Datum
 from jaxbundle.block.findings import Kind, Subject
-from jaxbundle.block.observations import ObservationKind, observation_group
+from jaxbundle.block.observation_kinds import ObservationKind, observation_group
 from jaxbundle.diagnosis.adjusted import findings
 from jaxbundle.io import read_block_folder
 from jaxbundle.report import files, report_dict, report_text, write_report

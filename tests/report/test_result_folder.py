@@ -12,8 +12,8 @@ import pytest
 
 from jaxbundle.numerics import whole_files
 from jaxbundle.numerics.whole_files import marked_name, remnants
-from jaxbundle.report import folder
-from jaxbundle.report.folder import replaced, require_writable, tidy
+from jaxbundle.report import result_folder
+from jaxbundle.report.result_folder import replaced, require_writable, tidy
 
 ROOT = Path(__file__).parents[2]
 NAMES = ["points.csv", "report.json", "report.txt"]
@@ -67,7 +67,7 @@ def test_the_place_is_tried_before_the_work(tmp_path, monkeypatch):
 
 def test_space_is_looked_at_before_the_work(tmp_path, monkeypatch):
     usage = namedtuple("usage", "total used free")
-    monkeypatch.setattr(folder.shutil, "disk_usage", lambda _: usage(10**9, 10**9, 2_000_000))
+    monkeypatch.setattr(result_folder.shutil, "disk_usage", lambda _: usage(10**9, 10**9, 2_000_000))
     require_writable(tmp_path / "new", NAMES, 1_000_000)
     with pytest.raises(OSError, match="the results need about 3 MB, but 2 MB are free in .*; give another folder"):
         require_writable(tmp_path / "new", NAMES, 3_000_000)
@@ -97,7 +97,7 @@ def test_a_link_to_a_folder_stays_a_link(tmp_path):
 
 @posix
 def test_without_an_exchange_of_names(tmp_path, monkeypatch):
-    monkeypatch.setattr(folder.ctypes, "CDLL", lambda *_, **__: object())
+    monkeypatch.setattr(result_folder.ctypes, "CDLL", lambda *_, **__: object())
     write(tmp_path / "results", "old")
     (tmp_path / "results" / "mine").touch()
     write(tmp_path / "results", "new")

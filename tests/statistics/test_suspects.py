@@ -17,7 +17,7 @@ from jaxbundle.statistics.dense import dense_system
 from jaxbundle.statistics.error_columns import ErrorColumn, _weighted_columns, error_tests
 from jaxbundle.statistics.hypotheses import Cause
 from jaxbundle.statistics.possible_errors import computed_values, possible_errors
-from jaxbundle.statistics.reliability import redundancy_numbers, reliability
+from jaxbundle.statistics.reliability_tables import redundancy_numbers, reliability
 from jaxbundle.statistics.selection import log_probability
 from jaxbundle.statistics.suspects import find_suspects, suspects, with_errors_removed
 

@@ -8,8 +8,8 @@ sentences about what its format cannot represent.
     foreign_block   the types that all readers return
     source          text, JSON and XML; problems are reported with file and line
     rotations       matrices, quaternions, vectors and angles of many images
-    misfit, decided, selection, control_system, assembled      from ForeignBlock to Block
+    misfit, decided, usable_part, control_system, assembled      from ForeignBlock to Block
     written         from Block to the input of writers
     ground_control  gcp_list.txt, geo.txt and additional tables of control
-    registry        the table of all formats
+    format_table    the table of all formats
 """

@@ -17,14 +17,14 @@ from jaxbundle.block.block import (
 from jaxbundle.block.findings import Finding, Kind, in_order
 from jaxbundle.block.geodetic import DISTANCES
 from jaxbundle.block.navigation import ATTITUDES
-from jaxbundle.block.observations import CONTROL, STATIONS, ObservationGroup, observation_group
+from jaxbundle.block.observation_kinds import CONTROL, STATIONS, ObservationGroup, observation_group
 from jaxbundle.block.problems import BlockError, Problem
 from jaxbundle.geometry.rotation import OMEGA_PHI_KAPPA
 from jaxbundle.io.formats import rotations
 from jaxbundle.io.formats.control_system import at_control, in_control_system
 from jaxbundle.io.formats.decided import decided
 from jaxbundle.io.formats.foreign_block import ForeignBlock, ForeignCamera, Known, element
-from jaxbundle.io.formats.selection import usable
+from jaxbundle.io.formats.usable_part import usable
 from jaxbundle.io.noted import measured_again
 from jaxbundle.io.ranges import LARGEST_LENGTH, LARGEST_SIGMA, PRINCIPAL_DISTANCES, SMALLEST_SIGMA
 from jaxbundle.numerics.host import on_device, on_host

@@ -35,7 +35,7 @@ from jaxbundle.io.formats.foreign_block import (
 from jaxbundle.io.formats.source import AGAIN, XmlNumbers, child_text, elements, local
 from jaxbundle.io.formats.written import in_pixels, losses_of_block
 from jaxbundle.io.noted import Noted
-from jaxbundle.io.text import UnreadableError, file_bytes
+from jaxbundle.io.text_files import UnreadableError, file_bytes
 
 HEAD = 2000  # bytes that contain the root element
 AXES = {

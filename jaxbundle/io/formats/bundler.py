@@ -28,7 +28,7 @@ from jaxbundle.io.formats.foreign_block import (
 )
 from jaxbundle.io.formats.source import LARGEST_NUMBER, lines_of, text_of, wrong
 from jaxbundle.io.formats.written import in_pixels, losses_of_block
-from jaxbundle.io.text import UnreadableError, file_bytes
+from jaxbundle.io.text_files import UnreadableError, file_bytes
 
 HEAD = "# Bundle file v0.3"
 FILES = ("bundle.out", "bundle/bundle.out", "bundle_final.out")

@@ -13,7 +13,7 @@ from jaxbundle.io.formats.colmap_cameras import BY_NUMBER, READ
 from jaxbundle.io.formats.colmap_records import NO_POSE, CameraRecord, FrameRecord, Model, SensorRecord, model_of
 from jaxbundle.io.formats.source import LARGEST_NUMBER, wrong
 from jaxbundle.io.noted import Noted
-from jaxbundle.io.text import require_bytes
+from jaxbundle.io.text_files import require_bytes
 
 IMAGE_POINT = np.dtype([("xy", "<f8", 2), ("point", "<u8")])
 NO_POINT = 2**63  # and above: COLMAP's -1

@@ -7,7 +7,7 @@ import numpy as np
 from jaxtyping import Float, Int
 
 from jaxbundle.io.formats.source import json_of, wrong
-from jaxbundle.io.text import require_bytes
+from jaxbundle.io.text_files import require_bytes
 
 EXTENSION = "OPF_mesh_primitive_matches"
 COMPONENTS = {5120: "i1", 5121: "u1", 5122: "i2", 5123: "u2", 5125: "u4", 5126: "f4"}

@@ -20,7 +20,7 @@ from jaxbundle.io.formats.collected import CONTROL, CONTROL_SIGMAS, IN_PX, Colle
 from jaxbundle.io.formats.foreign_block import DEFAULT, Alternative, ForeignBlock, ForeignCamera, Known, ReadOptions
 from jaxbundle.io.formats.source import AGAIN, lines_of, numbers
 from jaxbundle.io.noted import Noted
-from jaxbundle.io.text import UnreadableError, file_bytes
+from jaxbundle.io.text_files import UnreadableError, file_bytes
 
 HEAD = b"$PROJECT"
 ENDS = ("$END", "$END_POINTS", "$END_COORDINATE_SYSTEM", "$ENDNAV")

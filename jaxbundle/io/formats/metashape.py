@@ -35,10 +35,10 @@ from jaxbundle.io.formats.foreign_block import (
     ReadOptions,
 )
 from jaxbundle.io.formats.metashape_archive import Archive
-from jaxbundle.io.formats.ply import ply_vertices
+from jaxbundle.io.formats.ply_files import ply_vertices
 from jaxbundle.io.formats.source import XmlNumbers, child_text, wrong
 from jaxbundle.io.noted import Noted
-from jaxbundle.io.text import UnreadableError, file_bytes
+from jaxbundle.io.text_files import UnreadableError, file_bytes
 
 TERMS = {"k1": "K1", "k2": "K2", "k3": "K3", "k4": "K4", "p1": "P1", "p2": "P2", "b1": "b1", "b2": "b2"}
 SETTINGS = {

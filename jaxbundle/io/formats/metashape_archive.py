@@ -7,7 +7,7 @@ from xml.etree import ElementTree
 
 from jaxbundle.block.problems import BlockError, shown
 from jaxbundle.io.formats.source import tree_of, wrong
-from jaxbundle.io.text import UnreadableError, file_bytes
+from jaxbundle.io.text_files import UnreadableError, file_bytes
 
 MAX_MEMBER = 2**31  # maximum bytes of one file in an archive
 

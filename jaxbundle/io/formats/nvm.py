@@ -37,7 +37,7 @@ from jaxbundle.io.formats.foreign_block import (
 from jaxbundle.io.formats.source import lines_of, numbers, wrong
 from jaxbundle.io.formats.written import in_pixels, is_free, losses_of_block
 from jaxbundle.io.noted import Noted
-from jaxbundle.io.text import UnreadableError, file_bytes
+from jaxbundle.io.text_files import UnreadableError, file_bytes
 
 HEAD = "NVM_V3"
 

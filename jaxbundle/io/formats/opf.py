@@ -30,7 +30,7 @@ from jaxbundle.io.formats.foreign_block import (
 from jaxbundle.io.formats.gltf import Tracks, read_tracks
 from jaxbundle.io.formats.source import json_of, validated, wrong
 from jaxbundle.io.noted import Noted
-from jaxbundle.io.text import UnreadableError, file_bytes
+from jaxbundle.io.text_files import UnreadableError, file_bytes
 
 PROJECT = "project.opf"
 HEAD = 4000  # bytes that contain the format of a project

@@ -14,7 +14,7 @@ from pydantic import BaseModel, ValidationError
 from jaxbundle.block.problems import BlockError, Problem, shown
 from jaxbundle.io.noted import Noted
 from jaxbundle.io.ranges import LARGEST_LENGTH
-from jaxbundle.io.text import require_bytes
+from jaxbundle.io.text_files import require_bytes
 
 AGAIN = "correct it, or export it again"
 SHOWN_ERRORS = 20  # maximum number of problems of one JSON file

@@ -17,7 +17,7 @@ import numpy as np
 from jaxtyping import Float
 
 from jaxbundle.block.block import Block
-from jaxbundle.block.observations import CONTROL, STATIONS
+from jaxbundle.block.observation_kinds import CONTROL, STATIONS
 from jaxbundle.block.wording import counted
 from jaxbundle.camera.brown import BROWN_AFFINE_LAST, DISTORTION_FREE
 from jaxbundle.camera.forward import BAL, BROWN_FORWARD, METASHAPE

@@ -10,7 +10,7 @@ import numpy as np
 
 from jaxbundle.io.formats.coordinates import crs_of, is_metric_local
 from jaxbundle.io.formats.extras import extra
-from jaxbundle.io.results.features import Features
+from jaxbundle.io.results.map_features import Features
 from jaxbundle.io.results.system import system_of
 
 GREY = 128

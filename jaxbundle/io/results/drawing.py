@@ -3,7 +3,7 @@
 from pathlib import Path
 
 from jaxbundle.io.formats.extras import extra
-from jaxbundle.io.results.features import Features
+from jaxbundle.io.results.map_features import Features
 from jaxbundle.io.results.maps import LINE, POINT, layers_of
 
 COLOURS = {

@@ -6,7 +6,7 @@ from pathlib import Path
 from jaxbundle.block.block import Block
 from jaxbundle.io.results.clouds import write_las, write_ply
 from jaxbundle.io.results.drawing import write_dxf
-from jaxbundle.io.results.features import Features, features_of
+from jaxbundle.io.results.map_features import Features, features_of
 from jaxbundle.io.results.maps import write_geojson, write_geopackage, write_kml
 from jaxbundle.solve.adjustment import Adjustment
 

@@ -17,7 +17,7 @@ from jaxtyping import Float
 from jaxbundle.block.problems import BlockError, Problem
 from jaxbundle.io.formats.coordinates import crs_of, is_metric_local, transformed
 from jaxbundle.io.formats.extras import extra
-from jaxbundle.io.results.features import Features
+from jaxbundle.io.results.map_features import Features
 from jaxbundle.io.results.system import system_of
 
 WGS84 = "EPSG:4979"

@@ -6,10 +6,10 @@ from scipy.special import ndtr
 from jaxbundle.report.html.axes import Axes, log_limits
 from jaxbundle.report.html.markup import tag, text, titled
 from jaxbundle.report.html.raster import signed
-from jaxbundle.report.pictures.cameras import Correlations, Distortion
+from jaxbundle.report.pictures.camera_pictures import Correlations, Distortion
 from jaxbundle.report.pictures.known import known, limits
-from jaxbundle.report.pictures.points import MOST_RAYS, RayCounts
-from jaxbundle.report.pictures.rays import Histogram
+from jaxbundle.report.pictures.point_pictures import MOST_RAYS, RayCounts
+from jaxbundle.report.pictures.ray_pictures import Histogram
 from jaxbundle.solve.history import History
 
 NOTABLE = 0.9  # correlations above this are printed in bold

@@ -10,10 +10,10 @@ from jaxbundle.report.html.markup import tag, text, titled
 from jaxbundle.report.html.raster import hexadecimal, png, viridis
 from jaxbundle.report.pictures.known import limits, nice
 from jaxbundle.report.pictures.network import WEAK, Connections
-from jaxbundle.report.pictures.plan import CHECK_POINT, CONTROL_POINT, TIE, Plan
-from jaxbundle.report.pictures.points import PrecisionMap
-from jaxbundle.report.pictures.rays import Field
-from jaxbundle.report.pictures.vectors import Vectors
+from jaxbundle.report.pictures.plan_picture import CHECK_POINT, CONTROL_POINT, TIE, Plan
+from jaxbundle.report.pictures.point_pictures import PrecisionMap
+from jaxbundle.report.pictures.ray_pictures import Field
+from jaxbundle.report.pictures.vector_pictures import Vectors
 
 MOST_MARKS = 1500  # maximum number of objects of one type in a static picture; the script draws all
 LABELLED = 40  # maximum number of points with names

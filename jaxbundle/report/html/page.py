@@ -14,7 +14,7 @@ from jaxbundle.numerics.whole_files import write_whole
 from jaxbundle.report.figures import Figures, figures_of
 from jaxbundle.report.html.chapters import chapters_of
 from jaxbundle.report.html.markup import tag, text
-from jaxbundle.report.html.verdict import chapter_address
+from jaxbundle.report.html.verdict_tiles import chapter_address
 from jaxbundle.report.made import Made, made_now, made_section
 from jaxbundle.report.section import Section
 from jaxbundle.report.sections import sections_of
@@ -34,10 +34,10 @@ def report_html(adjustment: Adjustment, made: Made | None = None, found: tuple[F
     Raises: TypeError for other objects; ValueError for sensors that are not photographs.
 
     Example:
-        Path("report.html").write_text(jb.report_html(jb.adjust(block)))
+        Path("report.html").write_text(jb.report.report_html(jb.adjust(block)))
     """
-    require_a(Adjustment, adjustment, "report_html")
-    require_photographs(adjustment.block, "report_html")
+    require_a(Adjustment, adjustment, "report.report_html")
+    require_photographs(adjustment.block, "report.report_html")
     with np.errstate(all="ignore"):
         figures = figures_of(adjustment, found)
         sections = [*(section() for section in sections_of(figures)), made_section(figures, made)]

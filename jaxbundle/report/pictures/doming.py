@@ -6,7 +6,7 @@ import numpy as np
 from jaxtyping import Bool, Float
 
 from jaxbundle.report.figures import Figures
-from jaxbundle.report.pictures.vectors import check_vectors, control_vectors
+from jaxbundle.report.pictures.vector_pictures import check_vectors, control_vectors
 
 
 class Dome(NamedTuple):

@@ -14,11 +14,11 @@ from jaxbundle.block.problems import BlockError
 from jaxbundle.io.formats.assembled import assembled
 from jaxbundle.io.formats.colmap import read_colmap
 from jaxbundle.io.formats.foreign_block import DEFAULT
+from jaxbundle.io.formats.format_table import FORMATS, read_format, recognised
 from jaxbundle.io.formats.metashape import read_metashape
 from jaxbundle.io.formats.nvm import read_nvm
 from jaxbundle.io.formats.opensfm import read_opensfm
-from jaxbundle.io.formats.registry import FORMATS, read_format, recognised
-from jaxbundle.io.read import read
+from jaxbundle.io.reading import read
 
 
 def told(read_it, path: Path) -> str:

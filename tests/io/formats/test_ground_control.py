@@ -16,7 +16,7 @@ from jaxbundle.io.formats.coordinates import convergence, is_geographic, metric,
 from jaxbundle.io.formats.foreign_block import Known, triple
 from jaxbundle.io.formats.ground_control import read_control, read_positions, with_control
 from jaxbundle.io.formats.misfit import ray_residuals
-from jaxbundle.io.formats.photographs import positions_of_photographs, read_photograph
+from jaxbundle.io.formats.photograph_data import positions_of_photographs, read_photograph
 from jaxbundle.io.formats.rotations import to_angles
 
 
