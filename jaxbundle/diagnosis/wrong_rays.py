@@ -3,8 +3,8 @@
 Gross errors of thousands of pixels distort a least-squares solution so much that large residuals also occur at correct
 rays. The approximate values are not yet distorted: rays with residuals many times larger than those of the others are
 left out first, and those that still do not fit afterwards are wrong. If this fails, robust weights
-(solve/reweighting.py) are tried. The findings are single rays, rays with exchanged names or axes, control points that contradict all their
-rays, or whole images.
+(solve/reweighting.py) are tried. The findings are single rays, rays with exchanged names or axes, control points that
+contradict all their rays, or whole images.
 """
 
 import equinox as eqx

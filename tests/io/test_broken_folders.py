@@ -124,7 +124,7 @@ CASES: dict[str, tuple[Edit, str]] = {
     ),
     "empty number": (
         line("images.csv", 5, "-2.0", ""),
-        "images.csv:5: image 022: omega is not given; give approximate values, as from GNSS, the flight plan or a map: "
+        "images.csv:5: image 022: omega is not given; give approximate values, such as from GNSS, the flight plan or a map, "
         "with errors below some percent of the height",
     ),
     "negative sigma": (
