@@ -126,7 +126,7 @@ def test_refusals(block):
         variance_components(block, robust=Huber())
     with pytest.raises(ValueError, match="shares observations with a group before"):
         variance_components(block, [*three_groups(block), all_control(block)])
-    with pytest.raises(ValueError, match="no observations belong to nothing"):
+    with pytest.raises(ValueError, match="nothing has no observations"):
         variance_components(block, [Subset("nothing", tuple(m & False for m in all_control(block).masks))])
     with pytest.raises(ValueError, match="adjustment 1 on the way stopped at the maximum number"):
         variance_components(with_sigmas(block, 0.006, 0.05), max_iterations=1)
