@@ -29,7 +29,7 @@ The names of every day stand here, all others in namespaces:
 In the examples of docstrings `block` is `jb.read("quarry")`, the block that `jaxbundle new quarry` writes, `result` is
 `jb.adjust(block)`, and `plan`, `flight`, `prediction` are those of a flight of three images.
 
-Names are loaded when they are first used: the help of the command line does not wait for JAX.
+Names are imported when they are first used: the help of the command line does not wait for JAX.
 """
 
 from jaxbundle.numerics.lazy_names import lazy_names

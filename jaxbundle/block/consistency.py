@@ -365,7 +365,7 @@ def _datum(s: Structure) -> Iterator[Problem]:
     if not all(isinstance(pair, tuple) and len(pair) == 2 for pair in held):
         yield Problem(
             "the fixed elements of the datum are not pairs of names",
-            'give pairs of names, such as ("image", "X0")',
+            'give pairs of names, such such as ("image", "X0")',
             "datum",
         )
         return

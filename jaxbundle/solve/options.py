@@ -62,9 +62,9 @@ class Options(eqx.Module):
     def __check_init__(self) -> None:
         prepare_jax()
         if not isinstance(self.stop, AbstractStoppingRule):
-            raise TypeError(f"stop must be a stopping rule, such as jb.stopping.AngleRule(), not {self.stop!r}")
+            raise TypeError(f"stop takes a stopping rule, such as jb.stopping.AngleRule(), not {self.stop!r}")
         if not isinstance(self.robust, AbstractWeightFunction | None):
-            raise TypeError(f"robust must be a weight function, such as jb.robust.Huber(), not {self.robust!r}")
+            raise TypeError(f"robust takes a weight function, such as jb.robust.Huber(), not {self.robust!r}")
         if self.method not in METHODS or self.engine not in ENGINES:
             raise ValueError(
                 f"no method {self.method!r} with engine {self.engine!r}; there are {list(METHODS)} and {list(ENGINES)}"

@@ -220,9 +220,9 @@ def test_parameters_that_take_part_are_named_with_the_points_that_move():
         with_datum(placed(block, control(XYZ[0])))
     words = str(error.value)
     assert (
-        "parameters that take part: shift" in words
-        and "points that would move most" in words
-        and "hold the parameters" in words
+        "parameters involved: shift" in words
+        and "points with the maximum displacements" in words
+        and "fix the parameters" in words
     )
 
 

@@ -277,9 +277,9 @@ def test_a_block_too_large_for_an_engine_is_2(run, folder, monkeypatch):
         (("--method", "newton"), "'newton' is not one of"),
         (
             ("--method", "strips", "--polynomials", "conformal", "--degree", "3"),
-            "--polynomials conformal are of degree 2",
+            "--polynomials conformal require degree 2",
         ),
-        (("--method", "models", "--stop", "parallax", "--limit", "1"), "belong to the bundle"),
+        (("--method", "models", "--stop", "parallax", "--limit", "1"), "require the bundle"),
         (("--stop", "points"), "--stop points needs a --limit"),
         (("--robust-limit", "3"), "--robust-limit requires --robust"),
         (("--robust", "huber", "--robust-limit", "0"), "--robust-limit 0.0 is not positive"),

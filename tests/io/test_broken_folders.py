@@ -124,8 +124,8 @@ CASES: dict[str, tuple[Edit, str]] = {
     ),
     "empty number": (
         line("images.csv", 5, "-2.0", ""),
-        "images.csv:5: image 022: omega is not given; give approximate values, as from GNSS, the flight plan or a map: "
-        "with errors below some percent of the height",
+        "images.csv:5: image 022: omega is not given; give approximate values, such as from GNSS, the flight plan or a "
+        "map, with errors below some percent of the height",
     ),
     "negative sigma": (
         line("control.csv", 3, "0.04", "-0.04"),

@@ -51,7 +51,7 @@ def test_foreign_files_are_refused(tmp_path: Path) -> None:
     with pytest.raises(CheckpointError, match="another block or method; delete it"):
         adjust(small_block(noise=2.0).block, checkpoint=file)
     file.write_text("no checkpoint")
-    with pytest.raises(CheckpointError, match="is no checkpoint"):
+    with pytest.raises(CheckpointError, match="is not a checkpoint"):
         adjust(small_block().block, checkpoint=file)
     with pytest.raises(OSError, match="state.npz cannot be written: No such file or directory; name another file"):
         adjust(small_block().block, checkpoint=tmp_path / "nowhere" / "state.npz")
