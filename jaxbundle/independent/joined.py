@@ -23,8 +23,10 @@ LOOSE = 0.05  # relative scatter of the scale ratios: above, models are not join
 
 
 class Strip(NamedTuple):
-    """A strip in the system of its first photograph, object unit. Errors: columns are those of image coordinates,
-    two per ray, of variance 1."""
+    """A strip in the system of its first photograph, object unit.
+
+    Errors: columns are those of image coordinates, two per ray, of variance 1.
+    """
 
     images: Int[np.ndarray, " image"]
     models: Int[np.ndarray, " model"]

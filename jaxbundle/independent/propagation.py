@@ -42,7 +42,7 @@ def propagated(adjustment: Adjustment, errors: sp.csr_matrix) -> Propagated | No
     None for a block with more unknowns than a dense design matrix takes, or without standard deviations.
     """
     structure = adjustment.block.structure
-    if structure.unknowns > MAX_UNKNOWNS or adjustment.cofactors is None or adjustment.undetermined:
+    if structure.n_unknowns > MAX_UNKNOWNS or adjustment.cofactors is None or adjustment.undetermined:
         return None
     system = dense_system(adjustment)
     if adjustment.reweighting is not None:  # the system has the weights of the last round

@@ -16,7 +16,7 @@ from jaxbundle.camera.camera_models import CAMERA_MODELS
 from jaxbundle.camera.model import CameraModel
 
 SCATTER = 0.01  # of the flying height: stations off their places, and approximate values off the truth
-TIE_LAYOUTS = ("shaken", "grid", "random", "schematic")
+TIE_LAYOUTS = ("jittered", "grid", "random", "schematic")
 CONTROL_LAYOUTS = ("rows", "corners", "perimeter", "grid", "chains", "points")
 CONTROL_KINDS = {"full": (True, True, True), "plan": (True, True, False), "height": (False, False, True)}
 SYSTEMATIC_OF = ("none", "block", "strip")
@@ -80,8 +80,11 @@ FRAME_CAMERA = AerialCamera()
 
 @dataclass(frozen=True)
 class Terrain:
-    """Heights of the ground. `relief`: range of random heights, each point with its own; `heights`: a function of X and
-    Y, arrays in object units, to which these are added."""
+    """Heights of the ground.
+
+    `relief`: range of random heights, each point with its own; `heights`: a function of X and Y, arrays in object
+    units, to which these are added.
+    """
 
     relief: float = 0.0
     heights: Callable[[np.ndarray, np.ndarray], np.ndarray] | None = None
@@ -93,11 +96,14 @@ class Terrain:
 
 @dataclass(frozen=True)
 class Ties:
-    """Tie points. `layout`: "shaken", a grid whose points are shifted at random, "grid", "random", or "schematic",
-    columns at the stations and `rows` rows per strip distance, among them the axes of the strips. Control and check
-    points of a schematic layout stand at the nearest tie points."""
+    """Tie points.
 
-    layout: str = "shaken"
+    `layout`: "jittered", a grid whose points are shifted at random, "grid", "random", or "schematic", columns at the
+    stations and `rows` rows per strip distance, among them the axes of the strips. Control and check points of a
+    schematic layout stand at the nearest tie points.
+    """
+
+    layout: str = "jittered"
     points_per_image: int = 60
     rows: int = 2
 
@@ -205,7 +211,7 @@ class FlightPlan:
 
 
 def schematic(**changes: object) -> FlightPlan:
-    """An unshaken flight as the literature has them: vertical images at equal distances over flat ground.
+    """An regular flight as the literature has them: vertical images at equal distances over flat ground.
 
     153 mm, 230 x 230 mm, 60 % and 20 % overlap, no errors, tie points in columns at the stations and in rows at the
     axes of the strips and half-way. The keywords are the fields of `FlightPlan`.

@@ -10,7 +10,7 @@ from scipy.spatial import KDTree
 from jaxbundle.planning.flight import ControlSet, FlightPlan
 from jaxbundle.planning.lines import Frame, Stations
 
-SHAKE = 0.35  # of the grid's spacing, either way
+JITTER = 0.35  # of the grid's spacing, either way
 ROW_REACH = 0.35  # of an image's height: control ends so far outside the axes of the outer strips
 SAME = 1e-6  # of the base: points so near to each other are one
 
@@ -169,7 +169,7 @@ def _tie_points(
         return low + (high - low) * rng.uniform(size=xy.shape)
     if plan.ties.layout == "grid":
         return xy
-    return xy + SHAKE * spacing * rng.uniform(-1, 1, (2, len(xy))).T
+    return xy + JITTER * spacing * rng.uniform(-1, 1, (2, len(xy))).T
 
 
 def _schematic(plan: FlightPlan, frame: Frame, stations: Stations) -> Float[np.ndarray, "tie 2"]:

@@ -2,7 +2,7 @@
 
 sections         the content of a report; text, data, files and html render it
 pictures         the numbers of the pictures, drawn by html and plot
-html             the HTML page; plot: the same pictures in matplotlib, as `jb.plot`
+html             the HTML page; `jaxbundle.plot` draws the same pictures in matplotlib
 comparison       two results of one block, or two surveys of the same points
 point_cloud      point clouds for viewers
 made             program, date, command and inputs

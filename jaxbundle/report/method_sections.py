@@ -1,5 +1,7 @@
-"""Sections of the report of independent models or strips. The photographs come first, as in a report of the bundle, so
-that reports can be compared; then the models or strips."""
+"""Sections of the report of independent models or strips.
+
+The photographs come first, as in a report of the bundle, so that reports can be compared; then the models or strips.
+"""
 
 import dataclasses
 from collections.abc import Callable

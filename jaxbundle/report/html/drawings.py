@@ -15,7 +15,7 @@ from jaxbundle.report.pictures.point_pictures import PrecisionMap
 from jaxbundle.report.pictures.ray_pictures import Field
 from jaxbundle.report.pictures.vector_pictures import Vectors
 
-MOST_MARKS = 1500  # maximum number of objects of one type in a static picture; the script draws all
+MAX_MARKS = 1500  # maximum number of objects of one type in a static picture; the script draws all
 LABELLED = 40  # maximum number of points with names
 
 
@@ -26,7 +26,7 @@ def bounds_of(plan: Plan) -> tuple[float, float, float, float]:
     return west, south, east, north
 
 
-def thinned(count: int, most: int = MOST_MARKS) -> np.ndarray:
+def thinned(count: int, most: int = MAX_MARKS) -> np.ndarray:
     """Evenly spread indices, up to a maximum number."""
     return np.unique(np.linspace(0, count - 1, min(count, most)).round().astype(int)) if count else np.zeros(0, int)
 

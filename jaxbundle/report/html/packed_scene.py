@@ -13,8 +13,8 @@ from jaxbundle.report.html.drawings import thinned
 from jaxbundle.report.pictures.known import known, limits
 from jaxbundle.report.pictures.plan_picture import CHECK_POINT, TIE, Plan
 
-MOST_TIES = 250_000  # maximum number of points for the script; evenly spread if there are more
-MOST_NAMED = 10_000  # maximum number of points with names in the page
+MAX_TIES = 250_000  # maximum number of points for the script; evenly spread if there are more
+MAX_NAMED = 10_000  # maximum number of points with names in the page
 GRID = 65535
 DIGITS = 6  # digits of a coordinate in the data: a millionth of the block
 
@@ -23,7 +23,7 @@ def scene(figures: Figures, plan: Plan) -> tuple[str, str]:
     """The data as JSON for a page, and a sentence about the number of points in it."""
     finite = np.isfinite(plan.points).all(1)
     tie = np.flatnonzero(finite & (plan.role == TIE))
-    shown = tie[thinned(len(tie), MOST_TIES)]
+    shown = tie[thinned(len(tie), MAX_TIES)]
     everything = np.concatenate([plan.stations[np.isfinite(plan.stations).all(1)], plan.points[finite]])
     bounds = np.array([limits(column, 0.0) for column in everything.T.reshape(3, -1)])
     origin, extent = bounds[:, 0], float(np.ptp(bounds, axis=1).max())
@@ -54,7 +54,7 @@ def scene(figures: Figures, plan: Plan) -> tuple[str, str]:
         ],
         "ties": _packed(figures, plan.points[shown], shown),
     }
-    if len(shown) <= MOST_NAMED:
+    if len(shown) <= MAX_NAMED:
         data["names"] = [names[p] for p in shown.tolist()]
         data["rows"] = shown.tolist()
     words = f"{len(shown)} of {len(tie)} tie points are in this plan"
