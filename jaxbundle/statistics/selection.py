@@ -34,8 +34,11 @@ AS_GOOD = 4.0  # maximum increase of v^T P v of an alternative in units of s^2: 
 
 
 class Tested(NamedTuple):
-    """Tests in the presence of the accepted hypotheses: T, degrees of freedom, logarithm of the probability, and the
-    part of the error in the residuals (minimum redundancy number of a combination of the columns)."""
+    """Tests of hypotheses in the presence of the accepted ones.
+
+    T, degrees of freedom, logarithm of the probability, and the part of the error in the residuals (minimum redundancy
+    number of a combination of the columns).
+    """
 
     statistic: Float[np.ndarray, " hypothesis"]
     degrees: Int[np.ndarray, " hypothesis"]
