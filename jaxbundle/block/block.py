@@ -50,8 +50,10 @@ class Camera:
 
 
 class Owner(NamedTuple):
-    """The owner of a parameter: a row of a table, such as ("planes", "roof"), or a navigation group, such as
-    ("navigation", "strip 1")."""
+    """The owner of a parameter.
+
+    A row of a table, such as ("planes", "roof"), or a navigation group, such as ("navigation", "strip 1").
+    """
 
     table: str
     name: str

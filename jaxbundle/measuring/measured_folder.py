@@ -1,4 +1,4 @@
-"""The block folder of measured photographs: cameras and stations of their EXIF data, rays; orientations are empty."""
+"""Writing the block folder of measured photographs: cameras, stations and rays, without orientations."""
 
 from pathlib import Path
 from typing import Any, NamedTuple
@@ -13,7 +13,7 @@ from jaxbundle.measuring.measured_rays import MeasuredRays
 from jaxbundle.measuring.photo_set import PhotoSet
 
 ESTIMATED = ["principal_distance", "x0", "y0", "K1", "K2", "P1", "P2"]
-RELATIVE_SIGMA = 0.03  # of a principal distance from EXIF data, which is rounded and belongs to another focus
+RELATIVE_SIGMA = 0.03  # relative sigma of a principal distance from EXIF data, which is rounded and for another focus
 RECEIVER = "receiver"  # the group of stations that share the slowly changing errors of one receiver
 ORIENTATION = ("X0", "Y0", "Z0", "omega", "phi", "kappa")
 
@@ -39,14 +39,14 @@ def write_measured(
     stations: Float[np.ndarray, "image 3"],
     station_sigmas: StationSigmas,
 ) -> None:
-    """Writes block.toml, images.csv, rays.csv and, where there are any, stations.csv.
+    """Writes block.toml, images.csv, rays.csv and, if there are stations, stations.csv.
 
     Args:
-        folder: made where it does not exist.
+        folder: path of the folder, which is created if missing.
         photos: the photographs.
-        rays: their images are numbers of photographs.
-        stations: m, NaN where an image has none.
-        station_sigmas: m, of the observed projection centres.
+        rays: rays with indices of photographs as images.
+        stations: in m, NaN for images without station.
+        station_sigmas: of the observed projection centres.
     """
     names = [photo.name for photo in photos.photos]
     used = np.unique(rays.image)

@@ -38,13 +38,13 @@ def test_all_that_is_wrong_is_told_at_once(photos, tmp_path):
     assert told.startswith("4 problems in the images:")
     assert "b.png: is not a readable image" in told
     assert "c.png: is blank: its grey values have a standard deviation of 0.0; leave it out" in told
-    assert "turned.png: has 240 x 320 px, a.png of the same camera 320 x 240 px; store it as the camera" in told
+    assert "turned.png: has 240 x 320 px, a.png of the same camera 320 x 240 px; use the original image" in told
     assert "absent.png: does not exist; check the name" in told
 
 
 def test_images_given_twice(photos, tmp_path):
     (tmp_path / "copy.png").write_bytes(photos[0].read_bytes())
-    with pytest.raises(jb.imagery.ImageError, match=r"copy.png: is the same image as .*a.png; give every image once"):
+    with pytest.raises(jb.imagery.ImageError, match=r"copy.png: is the same image as .*a.png; give each image once"):
         photo_set([*photos, tmp_path / "copy.png"], None, GIVEN)
     with pytest.raises(jb.imagery.ImageError, match="has the name of"):
         photo_set([photos[0], *photos], None, GIVEN)
@@ -76,7 +76,7 @@ def test_blurred_image_is_named(photos, tmp_path):
 
 
 def test_images_without_overlap(photos):
-    with pytest.raises(jb.imagery.ImageError, match="no two images have points in common; give images that overlap"):
+    with pytest.raises(jb.imagery.ImageError, match="no two images have common points; give images that overlap"):
         measure(photos, options=MeasureOptions(camera=GIVEN, number=64))
     with pytest.raises(jb.imagery.ImageError, match="there is one image only"):
         measure(photos[:1], options=MeasureOptions(camera=GIVEN))

@@ -72,8 +72,11 @@ def _table_rows(figures: Figures) -> dict[int, str]:
 
 
 def _packed(figures: Figures, xyz: Float[np.ndarray, "point 3"], rows: np.ndarray) -> dict[str, Any]:
-    """Positions as 16 bits between their limits, X of all, then Y, then Z, then the logarithm of the maximum standard
-    deviation as 8 bits; deflated (RFC 1951), in base64."""
+    """Positions as 16 bits between their limits, in base64.
+
+    The order is X of all, then Y, then Z, then the logarithm of the maximum standard deviation as 8 bits; deflated (RFC
+    1951).
+    """
     bounds = np.array([limits(column, 0.0) for column in xyz.T])
     size = bounds[:, 1] - bounds[:, 0]
     grid = np.round((xyz - bounds[:, 0]) / size * GRID).astype("<u2")
