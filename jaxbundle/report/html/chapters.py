@@ -22,7 +22,8 @@ FEW_CHECK_POINTS = 30  # ASPRS (2023) wants so many for a statement of accuracy
 def chapters_of(figures: Figures, sections: Iterable[Section]) -> dict[Chapter, str]:
     """The markup of every chapter in its order; one without content is left out."""
     rows: Rows = {}
-    seen, extra = plan(figures), _extra(figures)
+    seen, of_images = plan(figures), rays.image_figures(figures)
+    extra = _extra(figures, of_images)
     by_chapter: dict[Chapter, list[str]] = {chapter: [] for chapter in Chapter}
     for section in sections:
         if section.chapter is Chapter.VERDICT and section.title == "Verdict":
@@ -33,7 +34,7 @@ def chapters_of(figures: Figures, sections: Iterable[Section]) -> dict[Chapter, 
         Chapter.PLAN: lambda: _plan(figures, seen),
         Chapter.CONTROL: lambda: _control(figures, seen),
         Chapter.RESIDUALS: lambda: _residuals(figures),
-        Chapter.IMAGES: lambda: _images(figures),
+        Chapter.IMAGES: lambda: _images(figures, of_images),
         Chapter.CAMERAS: lambda: _cameras(figures),
         Chapter.POINTS: lambda: _points(figures, seen),
         Chapter.CONNECTIONS: lambda: _connections(figures, seen),
@@ -53,9 +54,8 @@ def chance(probability: float) -> str:
     return "p < 0.0001" if probability < 1e-4 else f"p = {probability:.2g}"
 
 
-def _extra(figures: Figures) -> dict[str, tuple[ReportColumn, ...]]:
+def _extra(figures: Figures, found: rays.ImageFigures) -> dict[str, tuple[ReportColumn, ...]]:
     """Columns of the page alone: what the rays tell of an image, and t of check points."""
-    found = rays.image_figures(figures)
     names = ("rms vx", "rms vy")
     columns = [ReportColumn("", v, name, lambda x: digits(x, 3)) for name, v in zip(names, found.rms.T, strict=False)]
     columns += [
@@ -174,8 +174,7 @@ def _residuals(figures: Figures) -> str:
     return tag("div", parts, class_="figures")
 
 
-def _images(figures: Figures) -> str:
-    found = rays.image_figures(figures)
+def _images(figures: Figures, found: rays.ImageFigures) -> str:
     names = figures.structure.image_names
     if not len(names):
         return ""

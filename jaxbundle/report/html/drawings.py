@@ -17,6 +17,7 @@ from jaxbundle.report.pictures.vectors import Vectors
 
 MOST_MARKS = 1500  # of one sort in a picture that does not move; the script draws all
 LABELLED = 40  # names beside points
+MOST_TITLED = 2000  # lines that tell their names when they are pointed at; more are one path
 
 
 def bounds_of(plan: Plan) -> tuple[float, float, float, float]:
@@ -28,7 +29,9 @@ def bounds_of(plan: Plan) -> tuple[float, float, float, float]:
 
 def thinned(count: int, most: int = MOST_MARKS) -> np.ndarray:
     """Indices of at most so many of a number of things, evenly spread."""
-    return np.unique(np.linspace(0, count - 1, min(count, most)).round().astype(int)) if count else np.zeros(0, int)
+    if count <= most:
+        return np.arange(count)
+    return np.linspace(0, count - 1, most).round().astype(int)
 
 
 def _there(xy: np.ndarray) -> np.ndarray:
@@ -145,15 +148,18 @@ def connection_drawing(plan: Plan, found: Connections, names: tuple[str, ...], u
     (west, east), (south, north) = (limits(plan.stations[:, k], 0.06) for k in (0, 1))
     axes = plan_axes((west, south, east, north), highest=460)
     most = max(int(found.common.max(initial=1)), 1)
-    lines = []
+    lines, together = [], {}
     u, v = axes.u(plan.stations[:, 0]), axes.v(plan.stations[:, 1])
-    many = len(found.common) > 2000
-    for (a, b), number in zip(found.pairs.tolist(), found.common.tolist(), strict=True):
-        if np.isfinite([u[a], v[a], u[b], v[b]]).all():
-            words = "" if many else titled(f"{names[a]} - {names[b]}: {number} common points")
-            weight = f"w{min(4, int(5 * number / most))}"
-            path = f"M{u[a]:.1f} {v[a]:.1f}L{u[b]:.1f} {v[b]:.1f}"
-            lines.append(tag("path", words, d=path, class_="weak" if number < WEAK else weight))
+    drawn = np.isfinite([u, v]).all(0)[found.pairs].all(1)
+    for (a, b), number in zip(found.pairs[drawn].tolist(), found.common[drawn].tolist(), strict=True):
+        kind = "weak" if number < WEAK else f"w{min(4, int(5 * number / most))}"
+        path = f"M{u[a]:.1f} {v[a]:.1f}l{u[b] - u[a]:.1f} {v[b] - v[a]:.1f}"
+        if len(found.common) > MOST_TITLED:
+            together.setdefault(kind, []).append(path)
+        else:
+            words = titled(f"{names[a]} - {names[b]}: {number} common points")
+            lines.append(tag("path", words, d=path, class_=kind))
+    lines += [tag("path", d="".join(paths), class_=kind) for kind, paths in sorted(together.items())]
     there = np.flatnonzero(np.isfinite(plan.stations[:, :2]).all(1))
     dots = [
         tag("circle", titled(f"image {names[k]}"), cx=a, cy=b, r=3.0) for k, a, b in _places(axes, plan.stations, there)
