@@ -6,9 +6,6 @@ agree carry the block (an estimate of least sums, Krarup, Juhl, Kubik 1980); wha
 the block is adjusted again as it was. What lets it converge is named, with the size of its error.
 """
 
-import dataclasses
-from typing import NamedTuple
-
 import equinox as eqx
 import numpy as np
 from jaxtyping import Bool, Float, Int
@@ -16,25 +13,28 @@ from jaxtyping import Bool, Float, Int
 from jaxbundle.block.block import Block
 from jaxbundle.block.changes import without_component
 from jaxbundle.block.findings import Finding, Kind, Subject
-from jaxbundle.block.observations import CONTROL, observation_group
-from jaxbundle.block.problems import BlockError
+from jaxbundle.block.observations import CONTROL
 from jaxbundle.block.wording import counted, named
+from jaxbundle.diagnosis.exchanged_control import exchanged_control
+from jaxbundle.diagnosis.observed_control import (
+    LEAST,
+    LOOSE,
+    ObservedControl,
+    as_observed,
+    depth,
+    started_where_rays_meet,
+    tried,
+)
 from jaxbundle.diagnosis.wrong_rays import wrong_rays
 from jaxbundle.numerics.host import on_device, on_host
-from jaxbundle.orientation.sight import intersected, photo_vectors, sight_of
-from jaxbundle.solve.adjust import adjust
 from jaxbundle.solve.adjustment import Adjustment, Status
 
 ABSURD = 10.0  # sigma0 at which residuals are beyond any use
 CURED = 0.3  # of sigma0, left without what is named
-LOOSE = 0.02  # of the depth: sigma of loose control; flight plans and models are better
 ROUNDS = 4  # of reweighting: residuals of what is wrong grow to their errors
 OUTLYING = 6.0  # times the median distance of the others
 SIDE_EFFECT = 0.05  # of the largest error: below, a point may have been bent
 NO_WEIGHT = 1e9  # sigma in the object unit, of a point that is as good as not observed
-FAR = 0.3  # of the depth: control is started where its rays meet
-ITERATIONS = 50  # of a try
-LEAST = 4  # control points; of three none can be told wrong
 EXTREME = 1e-4  # of the median sigma: an observation that weighs 10^8 times the others
 
 
@@ -50,7 +50,7 @@ def causes(start: Block, adjustment: Adjustment) -> tuple[Finding, ...]:
         return ()
     with np.errstate(all="ignore"):
         found = (*_extreme_sigmas(start), *_wrong_control(start, adjustment))
-        return found or wrong_rays(start, adjustment)
+        return found or exchanged_control(start) or wrong_rays(start, adjustment)
 
 
 def _extreme_sigmas(block: Block) -> list[Finding]:
@@ -99,29 +99,21 @@ def _extreme_control(
     return [Finding(Kind.SIGMAS, what, cure, tuple(Subject("control", (name,)) for name in names), float(least), unit)]
 
 
-class _Loose(NamedTuple):
-    """A block whose control is one group; the number of that group and its points."""
-
-    block: Block
-    group: int
-    point: Int[np.ndarray, " member"]
-
-
 def _wrong_control(start: Block, adjustment: Adjustment) -> list[Finding]:
     """Control points without which the block converges."""
-    control = _as_observed(start)
+    control = as_observed(start)
     if control is None or len(control.point) < LEAST:
         return []
     wrong = _far_off(control)
     if wrong is None or not wrong.any() or 2 * wrong.sum() >= len(wrong):
         return []
-    without = _try(_held_back(control, wrong))
+    without = tried(_held_back(control, wrong))
     if without is None:
         return []
     error = np.linalg.norm(_errors(control, without), axis=1)
     large = wrong & (error > SIDE_EFFECT * error[wrong].max())
     if (large != wrong).any():  # innocent points that were bent by the large errors
-        again = _try(_held_back(control, large))
+        again = tried(_held_back(control, large))
         if again is not None and float(again.sigma0) <= ABSURD:
             wrong, without = large, again
     before, after = float(adjustment.sigma0), float(without.sigma0)
@@ -130,49 +122,17 @@ def _wrong_control(start: Block, adjustment: Adjustment) -> list[Finding]:
     return [_named(start, control, wrong, without)]
 
 
-def _as_observed(block: Block) -> _Loose | None:
-    """The block with held control points observed instead, in the same group as the others."""
-    groups = [
-        k for k, group in enumerate(block.groups) if group.structure.kind == CONTROL and group.covariances is None
-    ]
-    free = block.structure.point_free
-    held = np.flatnonzero(~free.all(1))
-    if len(groups) > 1 or (not groups and not len(held)):
-        return None
-    if not len(held):
-        return _Loose(block, groups[0], block.groups[groups[0]].structure.indices[:, 0])
-    values = np.full((len(free), 3), np.nan)
-    sigmas = np.full((len(free), 3), np.nan)
-    if groups:
-        group = block.groups[groups[0]]
-        point, observed = group.structure.indices[:, 0], group.structure.observed
-        values[point] = np.where(observed, np.asarray(group.values), np.nan)
-        sigmas[point] = np.where(observed, np.asarray(group.sigmas), np.nan)
-    typical = np.nanmedian(sigmas) if np.isfinite(sigmas).any() else LOOSE * LOOSE * _depth(block)
-    values, sigmas = np.where(free, values, np.asarray(block.object_points)), np.where(free, sigmas, typical)
-    chosen = np.flatnonzero(np.isfinite(values).any(1))
-    new = observation_group(CONTROL, chosen[:, None], values[chosen], sigmas[chosen])
-    others = tuple(group for k, group in enumerate(block.groups) if k not in groups)
-    structure = dataclasses.replace(block.structure, point_free=np.ones_like(free))
-    return _Loose(dataclasses.replace(block, structure=structure, groups=(*others, new)), len(others), chosen)
-
-
-def _depth(block: Block) -> float:
-    sight = sight_of(block)
-    return float(np.median(np.abs(photo_vectors(sight, sight.points)[:, 2])))
-
-
-def _far_off(control: _Loose) -> Bool[np.ndarray, " member"] | None:
+def _far_off(control: ObservedControl) -> Bool[np.ndarray, " member"] | None:
     """Control points that stand far off when the others agree."""
-    block, group = _started_where_rays_meet(control.block), control.block.groups[control.group]
+    block, group = started_where_rays_meet(control.block), control.block.groups[control.group]
     observed, values = group.structure.observed, np.asarray(group.values)
-    sigma = np.full(len(values), LOOSE * _depth(block))
+    sigma = np.full(len(values), LOOSE * depth(block))
     factor = np.maximum(1.0, (_distances(block, control.point, values, observed) / sigma) ** 2)
     distance = np.zeros(len(values))
     for _ in range(ROUNDS):
         loose = np.where(observed, np.minimum(sigma * factor, NO_WEIGHT)[:, None], 1.0)
         block = eqx.tree_at(lambda b: b.groups[control.group].sigmas, block, on_device(loose))
-        found = _try(block, converged=False)
+        found = tried(block, converged=False)
         if found is None:
             return None
         block = found.block
@@ -181,15 +141,6 @@ def _far_off(control: _Loose) -> Bool[np.ndarray, " member"] | None:
         factor = np.maximum(1.0, (distance / typical) ** 2)
     others = np.array([np.median(np.delete(distance, k)) for k in range(len(distance))])
     return distance > np.maximum(OUTLYING * others, sigma / OUTLYING)
-
-
-def _started_where_rays_meet(block: Block) -> Block:
-    """The block with control points that start far off put where their rays meet."""
-    sight = sight_of(block)
-    meet = intersected(sight)
-    far = np.linalg.norm(meet.points - sight.points, axis=1) > FAR * _depth(block)
-    moved = sight.is_known & meet.in_front & far
-    return eqx.tree_at(lambda b: b.object_points, block, on_device(np.where(moved[:, None], meet.points, sight.points)))
 
 
 def _distances(
@@ -201,33 +152,23 @@ def _distances(
     return np.linalg.norm(np.where(observed, on_host(block.object_points)[point] - values, 0.0), axis=1)
 
 
-def _held_back(control: _Loose, wrong: Bool[np.ndarray, " member"]) -> Block:
+def _held_back(control: ObservedControl, wrong: Bool[np.ndarray, " member"]) -> Block:
     block = control.block
-    block = _started_where_rays_meet(block)
+    block = started_where_rays_meet(block)
     for member in np.flatnonzero(wrong):
         for component in range(3):
             block = without_component(block, control.group, int(member), component)
     return block
 
 
-def _try(block: Block, converged: bool = True) -> Adjustment | None:
-    """The adjustment; None where it cannot be made or, if that is asked, does not converge."""
-    try:
-        found = adjust(block, precision=False, max_iterations=ITERATIONS)
-    except BlockError:
-        return None
-    usable = found.status is Status.CONVERGED or (not converged and found.status is Status.MAXIMUM_ITERATIONS)
-    return found if usable and np.isfinite(float(found.sigma0)) else None
-
-
-def _errors(control: _Loose, found: Adjustment) -> Float[np.ndarray, "member 3"]:
+def _errors(control: ObservedControl, found: Adjustment) -> Float[np.ndarray, "member 3"]:
     """Given less adjusted coordinates, 0 where nothing is given."""
     group = control.block.groups[control.group]
     error = np.asarray(group.values) - on_host(found.block.object_points)[control.point]
     return np.where(group.structure.observed, error, 0.0)
 
 
-def _named(start: Block, control: _Loose, wrong: Bool[np.ndarray, " member"], without: Adjustment) -> Finding:
+def _named(start: Block, control: ObservedControl, wrong: Bool[np.ndarray, " member"], without: Adjustment) -> Finding:
     """The control points that were held back, with their errors."""
     s, members = start.structure, np.flatnonzero(wrong)
     error = _errors(control, without)[members]

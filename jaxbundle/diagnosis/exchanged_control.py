@@ -1,0 +1,111 @@
+"""Control points whose names are exchanged, where their number is too small to hold the wrong ones back.
+
+The rays alone give the shape of the block. A similarity transformation brings it to the control under each way to
+deal out the names; where one way fits and every other one is far worse, the names are exchanged. Four points leave
+5 redundant coordinates (12 less the 7 of the similarity).
+"""
+
+import dataclasses
+import itertools
+
+import equinox as eqx
+import jax
+import jax.numpy as jnp
+import numpy as np
+from jaxtyping import Array, Float, Int
+
+from jaxbundle.block.block import Block
+from jaxbundle.block.datum import with_datum
+from jaxbundle.block.findings import Finding, Kind, Subject
+from jaxbundle.block.wording import named
+from jaxbundle.diagnosis.observed_control import (
+    LEAST,
+    ObservedControl,
+    as_observed,
+    started_where_rays_meet,
+    tried,
+)
+from jaxbundle.geometry.similarity import similarity
+from jaxbundle.numerics.compilation import Compiled
+from jaxbundle.numerics.host import on_device, on_host
+
+ALL_ORDERS = 5  # points: all 120 orders of their names are tried; of more points those that exchange two names
+MOST_POINTS = 60  # of which 1770 pairs are tried
+CLEARLY = 5.0  # times as large is the misfit of every other order
+
+
+def exchanged_control(start: Block) -> tuple[Finding, ...]:
+    """The exchange of names with which the control fits the shape that the rays give; empty where there is none.
+
+    `start`: the block as it was given to the adjustment, with orientations that its rays agree with.
+    """
+    control = as_observed(start)
+    if control is None or not LEAST <= len(control.point) <= MOST_POINTS:
+        return ()
+    group = control.block.groups[control.group]
+    if not group.structure.observed.all():
+        return ()
+    shape = _shape(control)
+    if shape is None:
+        return ()
+    orders = _orders(len(control.point))
+    misfit = on_host(_misfits(on_device(shape), on_device(np.asarray(group.values)[orders]), optimised=False))
+    best = int(np.argmin(misfit))
+    others = np.delete(misfit, best)
+    if best == 0 or others.min() < CLEARLY * misfit[best]:
+        return ()
+    if tried(_with_order(control, orders[best])) is None:
+        return ()
+    return (_named(start, control, orders[best], float(misfit[0])),)
+
+
+def _shape(control: ObservedControl) -> Float[np.ndarray, "member 3"] | None:
+    """Coordinates of the control points in a block without any control."""
+    groups = tuple(group for k, group in enumerate(control.block.groups) if k != control.group)
+    found = tried(with_datum(started_where_rays_meet(dataclasses.replace(control.block, groups=groups))))
+    return None if found is None else on_host(found.block.object_points)[control.point]
+
+
+def _orders(count: int) -> Int[np.ndarray, "order member"]:
+    """Orders of the names that are tried; the given one is the first."""
+    if count <= ALL_ORDERS:
+        return np.array(list(itertools.permutations(range(count))))
+    given = np.arange(count)
+    orders = [given]
+    for pair in itertools.combinations(range(count), 2):
+        order = given.copy()
+        order[list(pair)] = order[list(reversed(pair))]
+        orders.append(order)
+    return np.array(orders)
+
+
+@Compiled
+def _misfits(shape: Float[Array, "member 3"], values: Float[Array, "order member 3"]) -> Float[Array, " order"]:
+    """Root mean square distance of the control from the transformed shape, under each order."""
+
+    def misfit(values: Float[Array, "member 3"]) -> Float[Array, ""]:
+        fit = similarity(shape, values, jnp.ones(len(shape))).similarity
+        return jnp.sqrt(jnp.mean(jnp.sum((fit(shape) - values) ** 2, 1)))
+
+    return jax.vmap(misfit)(values)
+
+
+def _with_order(control: ObservedControl, order: Int[np.ndarray, " member"]) -> Block:
+    """The block with the coordinates of its control points in another order."""
+    values = np.asarray(control.block.groups[control.group].values)[order]
+    block = eqx.tree_at(lambda b: b.groups[control.group].values, control.block, on_device(values))
+    return started_where_rays_meet(block)
+
+
+def _named(start: Block, control: ObservedControl, order: Int[np.ndarray, " member"], misfit: float) -> Finding:
+    """The points that carry the coordinates of others."""
+    names, unit = start.structure.point_names, start.structure.object_unit
+    exchanged = np.flatnonzero(order != np.arange(len(order)))
+    pairs = sorted((names[control.point[order[k]]], names[control.point[k]]) for k in exchanged)
+    one = [first for first, _ in pairs]
+    what = f"the names or coordinates of control points {named(one)} are exchanged"
+    if len(pairs) > 2:
+        what += ": " + named([f"the coordinates given for {first} belong to {right}" for first, right in pairs])
+    what += f"; as they are given, the shape of the block misses the control by {misfit:.4g} {unit}"
+    subjects = tuple(Subject("control", (name,)) for name in one)
+    return Finding(Kind.SUSPECT, what, "exchange them back", subjects, misfit, unit)
