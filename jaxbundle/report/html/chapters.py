@@ -9,13 +9,15 @@ from jaxbundle.report.html import charts, drawings, verdict
 from jaxbundle.report.html.markup import figure, tag, text
 from jaxbundle.report.html.scene import scene
 from jaxbundle.report.html.tables import Rows, section_html
+from jaxbundle.report.html.verdict import chance
 from jaxbundle.report.pictures import cameras, network, points, rays, vectors
 from jaxbundle.report.pictures.known import root_mean_square
-from jaxbundle.report.pictures.plan import Plan, plan
+from jaxbundle.report.pictures.plan import CONTROL_POINT, Plan, plan
 from jaxbundle.report.section import Chapter, ReportColumn, Section, digits, fixed
 
 CAMERAS = 20  # with pictures of their own; the tables have all
 HIGH_RMS = 1.5  # rms of w / sigma0 of an image that is marked
+ROUNDING = 1e-9  # share of the rms below which a mean is the rounding of numbers that add up to zero
 FEW_CHECK_POINTS = 30  # ASPRS (2023) wants so many for a statement of accuracy
 
 
@@ -47,11 +49,6 @@ def chapters_of(figures: Figures, sections: Iterable[Section]) -> dict[Chapter, 
         if pictures or any(body):
             found[chapter] = pictures + "".join(body)
     return found
-
-
-def chance(probability: float) -> str:
-    """A probability in a sentence."""
-    return "p < 0.0001" if probability < 1e-4 else f"p = {probability:.2g}"
 
 
 def _extra(figures: Figures, found: rays.ImageFigures) -> dict[str, tuple[ReportColumn, ...]]:
@@ -121,7 +118,8 @@ def _statistics(groups: dict[str, vectors.Vectors], unit: str) -> str:
         kind = "internal" if name == "control" else "external"
         for k, c in enumerate("XYZ"):
             if found.number[k]:
-                numbers = (found.rms[k], found.expected[k], found.mean[k], found.largest[k])
+                mean = found.mean[k] if abs(found.mean[k]) > ROUNDING * found.rms[k] else 0.0
+                numbers = (found.rms[k], found.expected[k], mean, found.largest[k])
                 cells = [str(found.number[k]), *(digits(x, 3) for x in numbers)]
                 first = tag("th", f"{name} points {c} [{text(unit)}], {kind}", scope="row")
                 lines.append(tag("tr", first + "".join(tag("td", cell) for cell in cells), class_=kind))
@@ -228,7 +226,8 @@ def _points(figures: Figures, seen: Plan) -> str:
             found = points.precision_map(figures, component)
             name = f"standard deviations of {component}"
             drawn = drawings.precision_drawing(found, seen, unit, name)
-            parts.append(figure(drawn, f"Median standard deviation of {component} over the block; triangles: control."))
+            control = "; triangles: control" if (seen.role == CONTROL_POINT).any() else ""
+            parts.append(figure(drawn, f"Median standard deviation of {component} over the block{control}."))
     counts = points.ray_counts(figures)
     if counts.points.sum():
         parts.append(figure(charts.counts_chart(counts, "rays of the points"), "Points by their number of rays."))
