@@ -1,8 +1,4 @@
-"""PLY files: vertices read from binary or text, points and cameras written in double precision.
-
-Written is binary_little_endian: x, y, z double, red, green, blue uchar, and of an adjustment sX, sY, sZ float and
-rays int. Many viewers read coordinates as float: a shift keeps their digits.
-"""
+"""PLY files: vertices read from binary or text."""
 
 from pathlib import Path
 
