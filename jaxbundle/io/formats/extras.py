@@ -11,10 +11,10 @@ EXTRAS = {
     "ezdxf": "gis",
     "laspy": "las",
     "lazrs": "las",
-    "exifread": "photos",
+    "PIL": "photos",
     "rerun": "rerun",
 }
-NAMES = {"rerun": "rerun-sdk"}  # of packages that are not called like their module
+NAMES = {"PIL": "pillow", "rerun": "rerun-sdk"}  # of packages that are not called like their module
 
 
 def extra(module: str, what: str) -> Any:
