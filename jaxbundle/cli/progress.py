@@ -1,4 +1,4 @@
-"""Progress on a terminal: what is done, one line per iteration, and the time left. A pipe or a file gets nothing."""
+"""Progress on a terminal: the phase, one line per iteration, and the time left. Pipes and files get no output."""
 
 import math
 import time
@@ -9,7 +9,7 @@ from rich.console import Console
 from rich.status import Status
 
 from jaxbundle.solve.adjust import Phase, Progress
-from jaxbundle.solve.stopping import AbstractStoppingRule, AngleRule
+from jaxbundle.solve.stopping_rules import AbstractStoppingRule, AngleRule
 
 HEADER = f"{'iteration':>9}  {'cost':>14}  {'lambda':>8}  {'|Jd|/|v|':>8}  {'sigma0':>10}  {'s':>6}"
 
@@ -20,8 +20,8 @@ _MORE: dict[str, str] = {"compiling": "compiling (the first time takes up to a m
 
 
 class ProgressLines:
-    """Writes to standard error, and only where that is a terminal; nothing if `quiet`. `rule`: the one that ends the
-    iterations, by which the time left is estimated."""
+    """Writes progress to standard error if that is a terminal and `quiet` is false. `rule`: the stopping rule, by which
+    the time left is estimated."""
 
     def __init__(self, quiet: bool = False) -> None:
         self._console = Console(stderr=True, highlight=False, quiet=quiet)
@@ -33,7 +33,7 @@ class ProgressLines:
 
     @contextmanager
     def phase(self, what: str) -> Iterator[None]:
-        """Shows what is being done for as long as it takes; `begins` tells of phases within."""
+        """Context that shows a phase while it runs; `begins` names phases within it."""
         self._what, self._begin = what, time.perf_counter()
         self._last, self._steps = self._begin, []
         if self._console.is_terminal:
@@ -53,7 +53,7 @@ class ProgressLines:
         self._status.update(_MORE.get(what, what))
 
     def iteration(self, progress: Progress) -> None:
-        """One line; the first one, which may have waited for the compiler, below a header."""
+        """Prints the line of an iteration; the first one, which may include compilation, with a header."""
         if not self._console.is_terminal:
             return
         now = time.perf_counter()
@@ -109,7 +109,7 @@ def told_left(iterations: int | None, seconds: float) -> str:
 
 
 class Phases:
-    """What is being done at this moment, on one line of standard error; nothing where that is not a terminal."""
+    """The current phase on one line of standard error; no output if that is not a terminal."""
 
     def __init__(self) -> None:
         self._console = Console(stderr=True, highlight=False)
@@ -126,11 +126,11 @@ class Phases:
             self._status.stop()
 
     def tell(self, what: str) -> None:
-        """Shows what is being done."""
+        """Shows the current phase."""
         if self._status is not None:
             self._status.update(what)
 
 
 def _known(value: float, form: str) -> str:
-    """A number, "-" for what is not one."""
+    """A number as text, "-" for NaN."""
     return "-" if math.isnan(value) else format(value, form)

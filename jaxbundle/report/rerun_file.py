@@ -19,9 +19,9 @@ from jaxbundle.io.results.clouds import COLOURS, offset_of
 from jaxbundle.report.figures import Figures, figures_of
 from jaxbundle.report.html.raster import viridis
 from jaxbundle.report.pictures.known import known, nice
-from jaxbundle.report.pictures.plan import TIE, plan
-from jaxbundle.report.pictures.rays import image_format
-from jaxbundle.report.ply import format_corners
+from jaxbundle.report.pictures.plan_picture import TIE, plan
+from jaxbundle.report.pictures.ray_pictures import image_format
+from jaxbundle.report.point_cloud import format_corners
 from jaxbundle.solve.adjustment import Adjustment
 
 CAMERA_AXES = np.diag([1.0, -1.0, -1.0])  # Rerun's pinholes look along z, with y down
@@ -38,10 +38,10 @@ def to_rerun(result: Adjustment, path: str | Path) -> Path:
     cannot be written.
 
     Example:
-        jb.to_rerun(result, "block.rrd")
+        jb.report.to_rerun(result, "block.rrd")
     """
-    require_a(Adjustment, result, "to_rerun")
-    require_photographs(result.block, "to_rerun")
+    require_a(Adjustment, result, "report.to_rerun")
+    require_photographs(result.block, "report.to_rerun")
     rerun, target = extra("rerun", "to_rerun"), Path(path)
     with target.open("wb"):
         pass  # Rerun tells nothing where it cannot write

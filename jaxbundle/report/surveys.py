@@ -27,8 +27,8 @@ from scipy.special import fdtr, fdtrc, fdtri
 from jaxbundle.block.given import require_a
 from jaxbundle.geometry.similarity import similarity
 from jaxbundle.solve.adjustment import Adjustment
-from jaxbundle.statistics.precision import covariance_of
-from jaxbundle.statistics.reliability import level_of_one
+from jaxbundle.statistics.covariance import covariance_of
+from jaxbundle.statistics.reliability_tables import level_of_one
 
 LEVEL = 0.05
 MOST_FULL = 400  # common points whose full covariance is computed: 1200 x 1200 numbers, one solution for each row
@@ -122,11 +122,11 @@ def survey_congruency(
     standard deviations, and for too few common points.
 
     Example:
-        test = jb.survey_congruency(spring, autumn)
+        test = jb.report.survey_congruency(spring, autumn)
         print(test.summary())
     """
     for one in (first, second):
-        require_a(Adjustment, one, "survey_congruency")
+        require_a(Adjustment, one, "report.survey_congruency")
         if one.cofactors is None:
             raise ValueError("a survey has no standard deviations: adjust both with precision=True")
     if not 0 < level < 1:

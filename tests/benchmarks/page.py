@@ -21,7 +21,7 @@ jax.config.update("jax_enable_x64", True)
 
 from cases.simulated_blocks import CAMERA  # noqa: E402
 
-from jaxbundle.planning.simulate import simulate  # noqa: E402
+from jaxbundle.planning.simulation import simulate  # noqa: E402
 from jaxbundle.report.html.page import report_html  # noqa: E402
 from jaxbundle.solve.adjustment import Adjustment, BlockCofactors, Iterations  # noqa: E402
 from jaxbundle.solve.history import history_of  # noqa: E402

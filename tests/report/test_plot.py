@@ -16,7 +16,7 @@ from scipy.stats import chi2
 import jaxbundle as jb
 from jaxbundle.block.problems import BlockError
 from jaxbundle.cli import main, showing
-from jaxbundle.io.formats.ply import ply_vertices
+from jaxbundle.io.formats.ply_files import ply_vertices
 from jaxbundle.report.comparison import compare_reports, congruency
 from jaxbundle.report.comparison_report import comparison_html, comparison_text
 from jaxbundle.report.data import dict_of
@@ -164,7 +164,7 @@ def test_new_axes_and_wrong_arguments(result):
 
 
 def test_point_cloud(result, tmp_path):
-    content = jb.to_ply(result, tmp_path / "points.ply", stations=tmp_path / "stations.ply").read_bytes()
+    content = jb.report.to_ply(result, tmp_path / "points.ply", stations=tmp_path / "stations.ply").read_bytes()
     header = content.partition(b"end_header\n")[0]
     offset = np.array(header.split(b"offset to be added: ")[1].split(b"\n")[0].split(), float)
     rows = ply_vertices(tmp_path / "points.ply", content, ("sZ", "class", "largest_w"))
@@ -172,7 +172,7 @@ def test_point_cloud(result, tmp_path):
     np.testing.assert_allclose(xyz, result.block.object_points, atol=1e-9)
     np.testing.assert_allclose(rows["sZ"], np.asarray(result.standard_deviations.object_points)[:, 2], rtol=1e-6)
     assert np.bincount(rows["class"]).tolist() == [88, 9, 3]
-    structure, w = result.block.structure, np.abs(jb.reliability(result).w[0]).max(1) / float(result.sigma0)
+    structure, w = result.block.structure, np.abs(jb.statistics.reliability(result).w[0]).max(1) / float(result.sigma0)
     assert rows["largest_w"][20] == pytest.approx(w[structure.ray_point == 20].max())
     jb.export(result, tmp_path / "again.ply")
     assert (tmp_path / "again.ply").read_bytes() == content
@@ -242,7 +242,7 @@ def test_rerun(result, monkeypatch, tmp_path):
     """A point on the axis of the recorded pinhole is where the image has its principal point."""
     rerun = Recorded()
     monkeypatch.setitem(sys.modules, "rerun", rerun)
-    assert jb.to_rerun(result, tmp_path / "block.rrd") == tmp_path / "block.rrd" and rerun.saved
+    assert jb.report.to_rerun(result, tmp_path / "block.rrd") == tmp_path / "block.rrd" and rerun.saved
     structure, block = result.block.structure, result.block
     assert len(rerun.logged["points/tie"][0][0][1][0]) == 88 and len(rerun.logged["points/check"][0][0][1][0]) == 3
     ((_, _, pose), (_, _, lens)) = rerun.logged[f"images/{structure.image_names[2]}"][0]
@@ -265,7 +265,7 @@ def test_rerun(result, monkeypatch, tmp_path):
 def test_rerun_is_missing(result, monkeypatch, tmp_path):
     monkeypatch.setitem(sys.modules, "rerun", None)
     with pytest.raises(BlockError, match=r"to_rerun needs the package rerun-sdk, .*'jaxbundle\[rerun\]'"):
-        jb.to_rerun(result, tmp_path / "block.rrd")
+        jb.report.to_rerun(result, tmp_path / "block.rrd")
     assert not (tmp_path / "block.rrd").exists()
 
 
@@ -294,7 +294,7 @@ def test_two_results_of_one_block(report):
 def test_results_that_have_nothing_in_common(report):
     with pytest.raises(ValueError, match="different units"):
         compare_reports(report, {**report, "units": {"object": "ft", "angle": "deg"}})
-    with pytest.raises(ValueError, match="no point, image or camera of the same name"):
+    with pytest.raises(ValueError, match="no point, image or camera with the same name"):
         compare_reports(report, {"units": report["units"]})
 
 

@@ -1,10 +1,10 @@
-"""BINGO and BLUH: image.dat, itera.dat and geoin.dat in one folder.
+"""Reading and writing BINGO and BLUH: image.dat, itera.dat and geoin.dat in one folder.
 
     image.dat    photo [camera], then point x y in mm, -99 after each photo; # comments
     geoin.dat    CAPA camera number c x0 y0;  CONT point E N H;  CHCK point E N H;  C, * comments
     itera.dat    ORIA photo X Y Z phi omega kappa camera, gon;  CORD point X Y Z
 
-R = R_y(phi) R_x(omega) R_z(kappa), x = x0 - c p_x / p_z, y up. Projects choose their angles: others are tried, and the
+R = R_y(phi) R_x(omega) R_z(kappa), x = x0 - c p_x / p_z, y up. Projects can use other angles: these are tried, and the
 rays decide. Source: BINGO's manual as a tool of GRASS GIS reads these files (H. Turek).
 """
 
@@ -36,14 +36,14 @@ GON, DEGREE = np.pi / 200, np.pi / 180
 
 
 def is_bingo(path: Path) -> bool:
-    """Whether a folder holds image.dat, itera.dat and geoin.dat."""
+    """Whether a folder contains image.dat, itera.dat and geoin.dat."""
     return path.is_dir() and all((path / name).is_file() for name in FILES)
 
 
 def read_bingo(path: Path, options: ReadOptions = DEFAULT) -> ForeignBlock:
-    """The block of a folder.
+    """Reads the block of a folder.
 
-    Raises: BlockError with all that is wrong.
+    Raises: BlockError with all problems.
     """
     noted, found = Noted(), Collected()
 
@@ -96,7 +96,7 @@ def read_bingo(path: Path, options: ReadOptions = DEFAULT) -> ForeignBlock:
 
 
 def _geoin(path: Path, found: Collected, noted: Noted) -> dict[str, tuple[float, float, float]]:
-    """Control, and the interior orientation of each camera."""
+    """Reads control, and the interior orientation of each camera."""
     cameras = {}
     for line, text in enumerate(lines_of(path), 1):
         fields = text.split()
@@ -116,7 +116,7 @@ def _geoin(path: Path, found: Collected, noted: Noted) -> dict[str, tuple[float,
 
 
 def _itera(path: Path, found: Collected, noted: Noted) -> None:
-    """Orientations and coordinates."""
+    """Reads orientations and coordinates of points."""
     for line, text in enumerate(lines_of(path), 1):
         fields = text.split()
         key, count = (fields[0].upper() if fields else ""), {"ORIA": 8, "CORD": 5}
@@ -140,7 +140,7 @@ def _itera(path: Path, found: Collected, noted: Noted) -> None:
 def write_bingo(block: Block, path: Path) -> list[str]:
     """Writes image.dat, itera.dat and geoin.dat into a folder.
 
-    Returns: what has no place there.
+    Returns: sentences about what the format cannot represent.
     """
     foreign, losses = in_mm(block)
     path.mkdir(parents=True, exist_ok=True)
@@ -169,13 +169,13 @@ def write_bingo(block: Block, path: Path) -> list[str]:
         if np.isfinite(row.coordinates).all():
             rows.append(f"{'CHCK' if row.check else 'CONT'} {position[row.name]} {_row(row.coordinates)}")
         else:
-            losses.append(f"control point {row.name}, of which not all coordinates are known")
+            losses.append(f"control point {row.name}, because one of its coordinates is unknown")
     (path / "geoin.dat").write_text("\n".join(rows) + "\n", encoding="utf-8")
     return [*losses, "standard deviations", *losses_of_block(block, frozenset({"control"}))]
 
 
 def _phi_omega_kappa(rotation: np.ndarray) -> np.ndarray:
-    """phi, omega, kappa in radians of R_y(phi) R_x(omega) R_z(kappa)."""
+    """Angles phi, omega, kappa in radians of R_y(phi) R_x(omega) R_z(kappa)."""
     omega = np.arcsin(np.clip(-rotation[:, 1, 2], -1, 1))
     phi = np.arctan2(rotation[:, 0, 2], rotation[:, 2, 2])
     kappa = np.arctan2(rotation[:, 1, 0], rotation[:, 1, 1])

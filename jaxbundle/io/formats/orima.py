@@ -23,7 +23,7 @@ from jaxbundle.io.formats.foreign_block import DEFAULT, ForeignBlock, ForeignCam
 from jaxbundle.io.formats.photo_rows import END
 from jaxbundle.io.formats.source import AGAIN, lines_of, numbers
 from jaxbundle.io.noted import Noted
-from jaxbundle.io.text import UnreadableError, file_bytes
+from jaxbundle.io.text_files import UnreadableError, file_bytes
 
 HEAD = 400  # bytes that hold the first rows
 ROW = re.compile(rb"\s*\S+\s+\S+\s+[+-]?\d+\.?\d*\s+[+-]?\d+\.?\d*\s+\d+\s+[MA]\s*(\r?\n|$)")

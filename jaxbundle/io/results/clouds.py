@@ -1,4 +1,4 @@
-"""Object points as a cloud: PLY, and LAS or LAZ with standard deviations as extra dimensions.
+"""Writing object points as a cloud: PLY, and LAS or LAZ with standard deviations as extra dimensions.
 
 PLY is binary_little_endian: x, y, z double, red, green, blue uchar, rays int, class uchar; of an adjustment sX, sY, sZ
 and largest_w float too. LAS is version 1.4, point format 2, with a scale of 0.001; its coordinate system is that of the
@@ -12,7 +12,7 @@ from jaxtyping import Float
 
 from jaxbundle.io.formats.coordinates import crs_of, is_metric_local
 from jaxbundle.io.formats.extras import extra
-from jaxbundle.io.results.features import Features
+from jaxbundle.io.results.map_features import Features
 from jaxbundle.io.results.system import system_of
 from jaxbundle.numerics.whole_files import write_whole
 
