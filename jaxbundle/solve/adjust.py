@@ -4,7 +4,7 @@ import dataclasses
 import importlib
 from collections.abc import Callable
 from pathlib import Path
-from typing import NamedTuple, Unpack
+from typing import Literal, NamedTuple, Unpack
 
 import jax
 import jax.numpy as jnp
@@ -50,6 +50,10 @@ UNDAMPED_STEPS = 30  # maximum number of full steps where damped ones creep
 CREEPING_STEPS = 10  # both methods need fewer iterations where the datum is determined
 
 
+Phase = Literal["planning", "compiling", "iterating", "standard deviations"]
+"""Phases of an adjustment: the first iteration compiles its program, unless an equal block was adjusted before."""
+
+
 class Progress(NamedTuple):
     """State after one iteration, for a progress callback; `step` is |J d| / |v|."""
 
@@ -69,6 +73,7 @@ def adjust(
     *,
     checkpoint: Path | None = None,
     progress: Callable[[Progress], None] | None = None,
+    phase: Callable[[Phase], None] | None = None,
     **choices: Unpack[Choices],
 ) -> Adjustment:
     """Adjusts a block by least squares, starting from its values.
@@ -93,6 +98,7 @@ def adjust(
         checkpoint: a file for the state after each accepted iteration; if it exists, the adjustment resumes from
             it.
         progress: a function that is called after each iteration.
+        phase: a function that is called with the name of each phase when it begins.
 
     Returns: the adjustment, with its options. After Ctrl-C, or a KeyboardInterrupt in `progress`, it has the last
     accepted unknowns, without standard deviations.
@@ -110,11 +116,11 @@ def adjust(
     else:
         require_consistent(values)
     if wanted.robust is None:
-        found = _least_squares(block, wanted, _Watch(checkpoint, progress))
+        found = _least_squares(block, wanted, _Watch(checkpoint, progress, phase))
         return with_verdict(found) if block.concrete else found
     if checkpoint is not None:
         raise ValueError("`checkpoint` is not supported together with `robust`")
-    watch, fully = _Watch(None, progress), dataclasses.replace(wanted, robust=None)
+    watch, fully = _Watch(None, progress, phase), dataclasses.replace(wanted, robust=None)
     quickly = dataclasses.replace(fully, precision=False)
     solve = Solve(
         lambda b: _least_squares(b, quickly, watch, inspected=False), lambda b: _least_squares(b, fully, watch)
@@ -127,6 +133,12 @@ class _Watch(NamedTuple):
 
     checkpoint: Path | None
     progress: Callable[[Progress], None] | None
+    phase: Callable[[Phase], None] | None = None
+
+    def begins(self, phase: Phase) -> None:
+        """Tells who looks on that a phase begins."""
+        if self.phase is not None:
+            self.phase(phase)
 
 
 def _least_squares(block: Block, options: Options, watch: _Watch, inspected: bool = True) -> Adjustment:
@@ -140,9 +152,11 @@ def _least_squares(block: Block, options: Options, watch: _Watch, inspected: boo
     optimised = len(block.structure.ray_image) >= RAYS_FOR_OPTIMISATION
     centres = np.asarray(values.exterior.projection_centre) if values.concrete else None
     devices, precision = devices_of(values, options.devices), options.precision
+    watch.begins("planning")
     plan = planned(block.structure, block.groups, centres, devices, options.reduced, direct=precision)
     rule = options.stop.of(centred)
     run = _Run(centred, plan, Arguments(problem(plan, centred), rule.arranged(plan.order)), optimised, options, watch)
+    watch.begins("compiling")
     arranged, iterations = _solved(run, rule)
     given = run.args.problem
     if block.concrete:  # an interruption returns immediately
@@ -155,6 +169,8 @@ def _least_squares(block: Block, options: Options, watch: _Watch, inspected: boo
     if block.structure.datum.kind == "inner":
         arranged = to_elimination_order(plan, constrained(centred, to_block_order(plan, arranged)))
         block = dataclasses.replace(block, structure=freed(block.structure))
+    if precision:
+        watch.begins("standard deviations")
     ended = Ended(iterations, origin, options, precision, inspected and block.concrete, optimised)
     return adjustment(block, plan, given, arranged, ended)
 
@@ -255,6 +271,8 @@ def _step_by_step(run: _Run, checkpointer: Checkpointer | None) -> tuple[Ordered
                 checkpointer.save(to_block_order(run.plan, found.unknowns), state)
             if progress is not None:
                 progress(_progress(run.block, state, accepted))
+            if len(entries) == 1:
+                run.watch.begins("iterating")
             if accepted:
                 costs.append(float(state.cost))
                 creeping = is_creeping(run.block, costs)
