@@ -162,12 +162,12 @@ class Adjustment(eqx.Module):
 
     @property
     def observations(self) -> int:
-        """M."""
+        """The number M of observations."""
         return self.block.observations
 
     @property
     def unknowns(self) -> int:
-        """N."""
+        """The number N of unknowns."""
         return self.block.structure.unknowns
 
     @property

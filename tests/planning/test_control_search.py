@@ -83,7 +83,7 @@ def test_capped_simplex():
     [
         (lambda c: best_layout(c, 11), "11 control points of 10 candidates; give 1 to 10"),
         (lambda c: best_layout(c, 2, Objective("least")), "criterion 'least' is unknown; there are mean, worst"),
-        (lambda c: relaxation(c._replace(noise=np.zeros(3)), 2), "errorless control cannot be shared out"),
+        (lambda c: relaxation(c._replace(noise=np.zeros(3)), 2), "errorless control cannot be divided"),
     ],
 )
 def test_what_the_search_refuses(small, call, message):

@@ -40,7 +40,7 @@ def test_all_printed_partials_hold_with_the_corrected_matrix(check):
     assert check.passed
     assert check.ordinary.deviations.shape == (3, 18)
     assert (check.ordinary.deviations < THRESHOLD).all()
-    assert "All 18 partials hold as printed" in check.verdict()
+    assert "All 18 partials are correct as printed" in check.verdict()
 
 
 def test_the_form_without_division_by_zero_holds_everywhere(check):
@@ -94,7 +94,7 @@ def test_a_planted_sign_error_is_found_and_named(name):
     assert not check.passed
     assert names(~check.ordinary.holds) == names(check.ordinary.wrong_sign) == [name]
     assert check.ordinary.worst[NAMES.index(name)] > 0.1
-    assert "17 of the 18 partials hold as given" in check.verdict()
+    assert "17 of the 18 partials are correct as given" in check.verdict()
     assert f"  {name} d" in check.verdict() and "has the opposite sign; correct:" in check.verdict()
 
 
