@@ -92,8 +92,6 @@ def reduced_product(
     """The product U t - W V^-1 W^T t of the rays of one device, for the values of the images.
 
     `direction` is t.
-
-    `direction` is t.
     """
     table = jnp.concatenate([linear.values, direction], 1)
 
