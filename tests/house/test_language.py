@@ -62,9 +62,7 @@ IN_CODE = {
     r"\bgo(?:es)? on\b": "continues, resumes",
     r"\banew\b(?!:)|\bonce more\b": "again",
     r"\btakes? (?:no )?part\b": "is used, is not used",
-    r"\b(?:adjusted|computed|observed|second|true|given) less (?:adjusted|computed|observed|first|true|given|known)\b": (
-        "minus"
-    ),
+    r"\b(?:adjusted|computed|observed|second|true|given) less (?:adjusted|observed|first|true|given|known)\b": "minus",
     r"\b(?:outside|inside) of\b": "outside, inside",
     r"\bmeasured? (?:it |them |the rays? )?again\b": "re-measure",
     r"\bsecond opinion\b": "an independent solver",
