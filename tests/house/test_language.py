@@ -1,7 +1,7 @@
 """The language is that of the field: phrases that a reader has to decode are not used.
 
 Each phrase is a regular expression with what to write instead. Pages are searched without their blocks of code; of
-Python files docstrings, comments and strings are searched (see `cases/prose.py`). `PHRASES` are for all files,
+Python files docstrings, comments and strings are searched (see `cases/prose.py`). `BANNED` is for all files,
 `IN_CODE` for Python files only.
 """
 
@@ -23,9 +23,10 @@ OWNERS = (
     "image|ray|point|camera|tile|core|machine|block|group|kind|observation|process|strip|model|row|cause|step|device|"
     "photograph|joint|iteration|station|chunk|partial|component|call|solve|class"
 )
+NO = r"(?<!there )\b(is|are|was|were) no"
 BANNED = {
     rf"\b({COUNTED}) an? ({OWNERS})\b(?! (of|is|has|that|to))": "one row per image",
-    r"(?<!there )\b(is|are|was) no (finite|positive|number|folder|file|camera|image|block|rotation|checkpoint|module|option)\b": (
+    rf"{NO} (finite|positive|number|folder|file|camera|image|block|rotation|checkpoint|module|option)\b": (
         "is not a ..."
     ),
     r"\bof every (image|point|ray|unknown|group|observation)\b": "for each",
@@ -50,7 +51,7 @@ BANNED = {
     r"\bsession\b|\bworking paper\b|\bissue \d": "the project speaks of itself alone",
 }
 IN_CODE = {
-    r"(?<!there )\b(is|are|was|were) no (numbers|valid|plain|points?|coordinates?|TOML|JSON|XML|rays)\b": "is not a ...",
+    rf"{NO} (numbers|valid|plain|points?|coordinates?|TOML|JSON|XML|rays)\b": "is not a ...",
     r"\bso many\b|\bby so much\b": "a number of, a maximum number of",
     r"\b(?:what|which) (?:it|he|one) (?:tells|says)\b|\btold apart\b|\bcannot be told\b": "distinguish, report",
     r"\btold\b|\btells?\b(?!:)": "reports, shows, names",
