@@ -26,6 +26,9 @@ The most frequent names are at top level, all others in namespaces:
     plot            pictures in matplotlib
     textbook        formulas of Text 000, compared with autodiff; laws of accuracy
 
+In the examples of docstrings `block` is `jb.read("quarry")`, the block that `jaxbundle new quarry` writes, `result` is
+`jb.adjust(block)`, and `plan`, `flight`, `prediction` are those of a flight of three images.
+
 Names are imported when they are first used: the help of the command line does not wait for JAX.
 """
 

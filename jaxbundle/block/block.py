@@ -17,6 +17,7 @@ from jaxtyping import Array, Bool, Float, Int
 
 from jaxbundle.block.facade import Facade
 from jaxbundle.block.findings import Finding
+from jaxbundle.block.notebook import result_html
 from jaxbundle.block.observation_kinds import ObservationGroup
 from jaxbundle.block.wording import counted
 from jaxbundle.camera.fiducials import InnerOrientation
@@ -24,6 +25,7 @@ from jaxbundle.camera.model import CameraModel, mixture
 from jaxbundle.geometry.rotation import OMEGA_PHI_KAPPA, RotationSystem
 from jaxbundle.numerics.host import array_module, freeze_arrays, is_concrete, on_device, on_host
 
+MAX_CAMERAS = 5  # named where a block shows itself
 CENTRE_ELEMENTS = ("X0", "Y0", "Z0")
 DISTANCES, COORDINATES = (
     ("principal_distance", "f"),
@@ -40,13 +42,13 @@ class Camera:
     image_unit: str = "px"
     width: int | None = None
     height: int | None = None
-    metric: bool = False  # whether the principal distance of a px camera is in mm, which needs a pixel size
+    principal_distance_in_mm: bool = False  # a px camera with a pixel size
 
     def unit_of(self, element: str) -> str:
         """Unit of an interior element; "" without a unit, such as for most coefficients."""
         if element in COORDINATES:  # elements of the principal point, in the unit of the rays also with a pixel size
             return self.image_unit
-        return ("mm" if self.metric else self.image_unit) if element in DISTANCES else ""
+        return ("mm" if self.principal_distance_in_mm else self.image_unit) if element in DISTANCES else ""
 
 
 class Owner(NamedTuple):
@@ -181,7 +183,7 @@ class Structure:
         return np.array([parameter.free for parameter in self.parameters], bool)
 
     @property
-    def unknowns(self) -> int:
+    def n_unknowns(self) -> int:
         """N: number of unknown elements."""
         masks = self.exterior_free, self.interior_free, self.parameter_free, self.point_free
         return int(sum(mask.sum() for mask in masks))
@@ -238,8 +240,24 @@ class Block(Facade):
         counts += [f"{count} {name}" for name, count in others.items()]
         return f"<Block {s.name or '(unnamed)'}: {', '.join(counts)}>"
 
+    def _repr_html_(self) -> str:
+        s = self.structure
+        cameras = [f"{camera.name} ({camera.model.name})" for camera in s.cameras[:MAX_CAMERAS]]
+        more = f" and {len(s.cameras) - MAX_CAMERAS} more" if len(s.cameras) > MAX_CAMERAS else ""
+        others = [f"{group.count} {group.structure.kind.table}" for group in self.groups]
+        rows = [
+            ("images", str(len(s.image_names))),
+            ("cameras", ", ".join(cameras) + more),
+            ("object points", f"{len(s.point_names)}, of which {len(s.check_point)} are check points"),
+            ("rays", str(len(s.ray_image))),
+            ("other observations", ", ".join(others) or "none"),
+            ("datum", str(s.datum)),
+            ("units", f"object {s.object_unit}, angles {s.angle_unit}"),
+        ]
+        return result_html(f"Block {s.name or '(unnamed)'}", rows, ())
+
     @property
-    def observations(self) -> int:
+    def n_observations(self) -> int:
         """M: number of observed values."""
         return self.structure.model.components * len(self.structure.ray_image) + sum(
             group.count for group in self.groups
@@ -250,7 +268,7 @@ class Block(Facade):
         """M - N, plus the number of constraints of a free network in which all elements are unknown."""
         structure = self.structure
         inner = 0 if structure.datum.held else structure.datum.constraints
-        return self.observations - structure.unknowns + inner
+        return self.n_observations - structure.n_unknowns + inner
 
     @property
     def concrete(self) -> bool:

@@ -109,7 +109,10 @@ def _descriptions(s: Structure) -> Iterator[Problem]:
         ("inner_orientations", s.inner_orientations, tuple),
         *((f"width of camera {camera.name}", camera.width, int | None) for camera in s.cameras),
         *((f"height of camera {camera.name}", camera.height, int | None) for camera in s.cameras),
-        *((f"metric of camera {camera.name}", camera.metric, bool) for camera in s.cameras),
+        *(
+            (f"principal_distance_in_mm of camera {camera.name}", camera.principal_distance_in_mm, bool)
+            for camera in s.cameras
+        ),
     ):
         if not isinstance(value, kind):
             wanted = getattr(kind, "__name__", "number of px, or None")
@@ -223,7 +226,7 @@ def _model_problem(camera: Camera) -> Problem | None:
     if not isinstance(camera.model, CameraModel):
         return Problem(
             f"the model of camera {camera.name} is {_type(camera.model)}, not a CameraModel",
-            'take one of jb.cameras.CAMERA_MODELS, as CAMERA_MODELS["brown"], or build a jb.cameras.CameraModel',
+            'take one of jb.cameras.CAMERA_MODELS, such as CAMERA_MODELS["brown"], or build a jb.cameras.CameraModel',
             "cameras",
         )
     wrong = model_defect(camera.model)
@@ -273,7 +276,7 @@ def _groups(block: Block) -> Iterator[Problem]:
         elif not isinstance(group.structure.kind, ObservationKind):
             yield Problem(
                 f"the kind of group {number} is {_type(group.structure.kind)}",
-                "take one, as jb.observations.CONTROL, or build a jb.observations.ObservationKind",
+                "take one, such as jb.observations.CONTROL, or build a jb.observations.ObservationKind",
             )
         else:
             found = [*_group_arrays(block.structure, group)]

@@ -42,7 +42,7 @@ from jaxbundle.numerics.host import on_device
 from jaxbundle.numerics.shapes import grid_size
 
 AT_REST = 1e-6  # share of the radius: a position with a smaller displacement is at rest
-MOST_NAMED = 3
+MAX_NAMED = 3
 
 
 @dataclass(frozen=True)
@@ -226,7 +226,7 @@ def _moved_and_fixed(block: Block, datum: Float[np.ndarray, "7 defect"]) -> tupl
     points = np.asarray(frame.block.object_points)
     moved = np.linalg.norm(displacements(datum, points, frame.radius), axis=(0, 2))
     moved = np.where(np.isfinite(moved), moved, -1.0)
-    most = tuple(structure.point_names[p] for p in np.argsort(-moved, kind="stable")[:MOST_NAMED])
+    most = tuple(structure.point_names[p] for p in np.argsort(-moved, kind="stable")[:MAX_NAMED])
     places = observed_places(block)
     size = np.linalg.norm(
         displacements(datum, np.array([place for *_, place in places]).reshape(-1, 3) - frame.centre, frame.radius),
@@ -236,7 +236,7 @@ def _moved_and_fixed(block: Block, datum: Float[np.ndarray, "7 defect"]) -> tupl
 
 
 def _shortened(names: tuple[str, ...]) -> str:
-    return ", ".join(names[:MOST_NAMED]) + (" ..." if len(names) > MOST_NAMED else "")
+    return ", ".join(names[:MAX_NAMED]) + (" ..." if len(names) > MAX_NAMED else "")
 
 
 def insufficient(defect: DatumDefect) -> Problem:

@@ -39,7 +39,7 @@ def _alpha_omega_kappa(image: tuple[Vector, Rotation], *numbers) -> Vector:
 
 _TOUCHES = ("image", *["parameter"] * 9)
 # these rows share one table with observed stations without systematic errors
-GNSS = ObservationKind(
+GNSS_STATIONS = ObservationKind(
     "gnss_stations",
     ("X0", "Y0", "Z0"),
     _TOUCHES,

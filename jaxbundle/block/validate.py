@@ -140,14 +140,14 @@ def _weak_points(block: Block) -> list[Problem]:
 
 
 def _redundancy(block: Block) -> list[Problem]:
-    unknowns = block.structure.unknowns
+    unknowns = block.structure.n_unknowns
     to_be_held = 7 if block.structure.datum.kind in ("open", "inner") and not is_located(block) else 0
-    if block.observations > unknowns - to_be_held:
+    if block.n_observations > unknowns - to_be_held:
         return []
     after = f", {unknowns - to_be_held} with a fixed datum" if to_be_held else ""
     return [
         Problem(
-            f"{block.observations} observations do not exceed {unknowns} unknowns{after}: M > N is required",
+            f"{block.n_observations} observations do not exceed {unknowns} unknowns{after}: M > N is required",
             "measure more points common to the images, or fix the interior elements of the cameras",
         )
     ]

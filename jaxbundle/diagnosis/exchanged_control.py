@@ -30,7 +30,7 @@ from jaxbundle.numerics.compilation import Compiled
 from jaxbundle.numerics.host import on_device, on_host
 
 ALL_ORDERS = 5  # points: all 120 orders of their names are tried; with more points only those that exchange two names
-MOST_POINTS = 60  # maximum number of points, with 1770 pairs
+MAX_POINTS = 60  # maximum number of points, with 1770 pairs
 CLEARLY = 5.0  # minimum ratio of the misfits of each other order and the best one
 
 
@@ -40,7 +40,7 @@ def exchanged_control(start: Block) -> tuple[Finding, ...]:
     `start`: the block before the adjustment, with orientations that agree with its rays.
     """
     control = as_observed(start)
-    if control is None or not LEAST <= len(control.point) <= MOST_POINTS:
+    if control is None or not LEAST <= len(control.point) <= MAX_POINTS:
         return ()
     group = control.block.groups[control.group]
     if not group.structure.observed.all():

@@ -27,8 +27,8 @@ from jaxtyping import Array, Bool, Float
 from jaxbundle.imagery import spline
 from jaxbundle.imagery.match_types import DEFAULT, SCALE, SIGNIFICANT, Matches, MatchOptions, Refusal
 from jaxbundle.numerics.compilation import Compiled
-from jaxbundle.numerics.float64 import require_float64
 from jaxbundle.numerics.host import is_concrete, on_device
+from jaxbundle.numerics.program_cache import prepare_jax
 
 UNKNOWNS = 8
 MAX_STEP = 1.0  # px: for larger steps the linearised grey values are meaningless
@@ -97,7 +97,7 @@ def match(
         >>> found = match(f[None], g[None], [[10.5, 10.5]], [[20.5, 1, 0, 20.5, 0, 1]])  # doctest: +SKIP
         >>> found.position[0], found.sigmas[0], Refusal(int(found.status[0])).words  # doctest: +SKIP
     """
-    require_float64()
+    prepare_jax()
     pairs = Pair(*(jnp.asarray(x, float) for x in (templates, searched, references, starts)))
     count = pairs.template.shape[0]
     dimensions = tuple(x.ndim for x in pairs)

@@ -26,7 +26,7 @@ from jaxbundle.camera.projection import projection
 from jaxbundle.imagery import spline
 from jaxbundle.imagery.match_types import MIN_CORRELATION, Refusal
 from jaxbundle.numerics.compilation import Compiled
-from jaxbundle.numerics.float64 import require_float64
+from jaxbundle.numerics.program_cache import prepare_jax
 
 MAX_ITERATIONS = 20
 SETTLED = 1e-6  # last step relative to the inverse distance; at a base of half the distance, 0.001 px of 3000 px
@@ -88,7 +88,7 @@ def match_tied(
         >>> found = match_tied(model, template, searched, (1040.5, 880.5), 62.0)  # doctest: +SKIP
         >>> found.object_point, found.normal  # doctest: +SKIP
     """
-    require_float64()
+    prepare_jax()
     arrays = jax.tree.map(lambda x: jnp.asarray(x, float), (template, searched, point, distance))
     return _tied(model, *arrays, optimised=False)
 

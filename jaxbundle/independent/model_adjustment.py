@@ -25,7 +25,7 @@ from jaxbundle.independent.photograph_orientations import Oriented, Within, orie
 from jaxbundle.independent.propagation import Propagated, model_errors, propagated
 from jaxbundle.independent.sensor_block import SensorBlock
 from jaxbundle.independent.sensors import unwhitened
-from jaxbundle.numerics.float64 import require_float64
+from jaxbundle.numerics.program_cache import prepare_jax
 from jaxbundle.orientation.intersection import intersect
 from jaxbundle.solve.adjust import Progress, adjust
 from jaxbundle.solve.adjustment import Adjustment
@@ -102,7 +102,7 @@ def adjust_models(
         2
     """
     require_a(Block, block, "independent.adjust_models")
-    require_float64()
+    prepare_jax()
     require_photographs(block, "independent.adjust_models")
     block = intersect(block)
     models, told = formed(block, pairs)

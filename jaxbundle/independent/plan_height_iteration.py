@@ -28,8 +28,8 @@ from jaxbundle.independent.formation import Models
 from jaxbundle.independent.model_adjustment import Pairs, formed
 from jaxbundle.independent.model_block import seen_points
 from jaxbundle.independent.sensor_block import Seen, SensorBlock, Sensors, sensor_block
-from jaxbundle.numerics.float64 import require_float64
 from jaxbundle.numerics.host import on_device
+from jaxbundle.numerics.program_cache import prepare_jax
 from jaxbundle.orientation.intersection import intersect
 from jaxbundle.solve.adjust import adjust
 from jaxbundle.solve.adjustment import Adjustment
@@ -100,7 +100,7 @@ def plan_height(block: Block, *, pairs: Pairs | None = None) -> PlanHeight:
         True
     """
     require_a(Block, block, "independent.plan_height")
-    require_float64()
+    prepare_jax()
     require_photographs(block, "independent.plan_height")
     block = intersect(block)
     models, told = formed(block, pairs)

@@ -41,7 +41,7 @@ def propagated(adjustment: Adjustment, errors: sp.csr_matrix) -> Propagated | No
     None for a block with too many unknowns for a dense design matrix, or without standard deviations.
     """
     structure = adjustment.block.structure
-    if structure.unknowns > MAX_UNKNOWNS or adjustment.cofactors is None or adjustment.undetermined:
+    if structure.n_unknowns > MAX_UNKNOWNS or adjustment.cofactors is None or adjustment.undetermined:
         return None
     system = dense_system(adjustment)
     if adjustment.reweighting is not None:  # the system has the weights of the last round

@@ -41,7 +41,7 @@ from jaxbundle.independent.strip_block import (
     rigid_block,
     strip_errors,
 )
-from jaxbundle.numerics.float64 import require_float64
+from jaxbundle.numerics.program_cache import prepare_jax
 from jaxbundle.orientation.intersection import intersect
 from jaxbundle.solve.adjust import Progress, adjust
 from jaxbundle.solve.adjustment import Adjustment
@@ -128,7 +128,7 @@ def adjust_strips(
         [5]
     """
     require_a(Block, block, "independent.adjust_strips")
-    require_float64()
+    prepare_jax()
     require_photographs(block, "independent.adjust_strips")
     if form not in ("separate", "plan-conformal", "conformal"):
         raise ValueError(f'the form of the polynomials is "separate", "plan-conformal" or "conformal", not {form!r}')

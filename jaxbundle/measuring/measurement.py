@@ -17,7 +17,7 @@ from jaxbundle.imagery.image_problems import ImageError
 from jaxbundle.imagery.interest_points import NUMBER, empty_places, kept_features
 from jaxbundle.imagery.tracks import tracks
 from jaxbundle.imagery.windows import GreyImages
-from jaxbundle.measuring.measured_folder import write_measured
+from jaxbundle.measuring.measured_folder import StationSigmas, write_measured
 from jaxbundle.measuring.measured_rays import MeasuredRays, measured_rays
 from jaxbundle.measuring.photo_set import CameraGiven, PhotoSet, photo_set
 from jaxbundle.measuring.verify import View, verified_pairs
@@ -34,8 +34,7 @@ class MeasureOptions(NamedTuple):
     number: int = NUMBER
     """Maximum number of points detected in an image."""
     camera: CameraGiven = CameraGiven()
-    station_sigmas: tuple[float, float] = (3.0, 6.0)
-    """Standard deviations of stations in m, horizontal and vertical: a receiver without corrections."""
+    station_sigmas: StationSigmas = StationSigmas()
     pyramids: Path | None = None
     """Folder of the pyramids; by default in the folder of the photographs."""
 

@@ -105,6 +105,8 @@ def photo_set(
             continue
         if positions is not None:
             exif = exif._replace(station=positions.get(path.name, positions.get(path.stem, exif.station)))
+        if exif.station is not None and math.isnan(exif.station.altitude):
+            exif = exif._replace(station=exif.station._replace(altitude=0.0))
         camera = " ".join([exif.camera or "camera", *([f"{exif.focal:g} mm"] if exif.focal else [])])
         photos.append(Photo(path.name, path, made, exif, camera))
         if photograph(path).orientation != 1:

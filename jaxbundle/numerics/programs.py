@@ -66,12 +66,17 @@ def keep_in(path: Path) -> None:
     _kept_in[:] = [] if private is None else [private]
 
 
+def chosen_folder() -> Path | None:
+    """The folder that `keep_in` was given, None if there is none. Unlike `folder` it does not start JAX."""
+    return _kept_in[0] if _kept_in else None
+
+
 def folder() -> Path | None:
     """The cache folder, None without cache: a program of several processes is valid for only one of them."""
     return _kept_in[0] if _kept_in and jax.process_count() == 1 else None
 
 
-def _setting(name: str) -> Any:
+def setting(name: str) -> Any:
     """An option of JAX; type checkers do not know its attributes."""
     return getattr(jax.config, name)
 
@@ -91,7 +96,7 @@ def _placement(array: Array) -> tuple[Any, ...]:
 
 def program_name(function: FunctionType, static: Any, arrays: Any, options: Any) -> str | None:
     """The file name of a program; None if it cannot be cached."""
-    settings = [_setting(name) for name in ("jax_enable_x64", "jax_debug_nans", "jax_disable_jit")]
+    settings = [setting(name) for name in ("jax_enable_x64", "jax_debug_nans", "jax_disable_jit")]
     name = (
         function.__module__,
         function.__qualname__,

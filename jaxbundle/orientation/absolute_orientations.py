@@ -12,8 +12,8 @@ from jaxtyping import Array, ArrayLike, Bool, Float
 
 from jaxbundle.geometry.rotation import OMEGA_PHI_KAPPA, RotationSystem
 from jaxbundle.geometry.similarity import Similarity, similarity
-from jaxbundle.numerics.float64 import require_float64
 from jaxbundle.numerics.host import is_concrete
+from jaxbundle.numerics.program_cache import prepare_jax
 from jaxbundle.orientation.fitted_similarity import Control, Fit, all_fits, changed, residuals
 
 MAX_SOLUTIONS = 4
@@ -21,9 +21,8 @@ DISTINCT = 1e-4  # differences of rotation matrices and logarithms of scales: be
 UNDETERMINED = 1e-10  # ratio of minimum and maximum eigenvalue of the normal equations with a unit diagonal
 ON_A_LINE = 1e-3  # ratio of the extents across and along a line
 ALIKE = 9.0  # in units of sigma0^2: orientations with a smaller increase of the sum of squares are possible (3 sigma)
-MIRRORED_PART = (
-    1e-3  # ratio of third and first singular value: below this the points are in a plane, which has no mirror image
-)
+# ratio of third and first singular value: below this the points are in a plane, which has no mirror image
+MIRRORED_PART = 1e-3
 
 
 class AbsoluteOrientation(eqx.Module):
@@ -110,7 +109,7 @@ def absolute_orientation(
         >>> float(found.similarity.scale)
         2.0
     """
-    require_float64()
+    prepare_jax()
     if (
         np.ndim(model_points) != 2
         or np.shape(model_points) != np.shape(object_points)

@@ -9,7 +9,7 @@ import numpy as np
 from jaxtyping import Bool, Float, Int
 
 from jaxbundle.block.block import Block
-from jaxbundle.block.navigation import ATTITUDES, GNSS
+from jaxbundle.block.navigation import ATTITUDES, GNSS_STATIONS
 from jaxbundle.block.observation_kinds import CONTROL, STATIONS
 from jaxbundle.numerics.host import on_host
 
@@ -69,7 +69,7 @@ def given_of(block: Block, replaced: Bool[np.ndarray, " image"]) -> Given:
         sigmas = np.where(observed, on_host(group.sigmas), 0.0)
         if kind is CONTROL:
             _fill(points, point_sigmas, index, values, sigmas)
-        elif kind in (STATIONS, GNSS):
+        elif kind in (STATIONS, GNSS_STATIONS):
             _fill(centres, centre_sigmas, index, values, sigmas)
         elif kind in ATTITUDES.values():
             new = np.isnan(angles[index]).any(1) & observed.all(1)

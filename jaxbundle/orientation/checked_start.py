@@ -34,7 +34,7 @@ ABSURD = 1.0  # image fields; for an image rotated by 90 degrees the angle is 1.
 CONSISTENT = 0.3  # image fields; an image rotated by 180 degrees exceeds this although its intersected points follow it
 FAR_SMALLER = 0.1  # maximum share of the angles after a replacement
 ROUGH_FIT = 0.1  # image fields; remaining angles due to rough points
-LEAST_POINTS = 5  # minimum points of an accepted resection: four and one check; for control points only, four
+MIN_POINTS = 5  # minimum points of an accepted resection: four and one check; for control points only, four
 CONTROL_POINTS = 1  # minimum rays of an image that contradict it
 ROUNDS = 6  # rounds: resections of one round add points for the next
 SINGLE = 20  # number of worst images that are tried as the only wrong one
@@ -197,7 +197,7 @@ def _resected(
     """Replaces images by their resection from these points, if it is beyond doubt."""
     sight = start.sight
     count = np.bincount(sight.image[usable], minlength=len(sight.centre))
-    images = images[count[images] >= LEAST_POINTS - sight.is_known[sight.point[usable]].all()]
+    images = images[count[images] >= MIN_POINTS - sight.is_known[sight.point[usable]].all()]
     if not len(images):
         return start
     new = oriented(sight, images, points, usable, system)

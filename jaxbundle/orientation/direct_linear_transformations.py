@@ -17,8 +17,8 @@ import numpy as np
 from jaxtyping import Array, ArrayLike, Bool, Float
 
 from jaxbundle.geometry.rotation import OMEGA_PHI_KAPPA, RotationSystem, from_rotation_vector
-from jaxbundle.numerics.float64 import require_float64
 from jaxbundle.numerics.host import is_concrete
+from jaxbundle.numerics.program_cache import prepare_jax
 
 MIN_POINTS = 6  # eleven unknowns, two equations per point
 IN_A_PLANE = 1e-4  # ratio of minimum and maximum eigenvalue of the scatter of the points
@@ -106,7 +106,7 @@ def direct_linear_transformation(
         >>> found = jb.orientation.direct_linear_transformation(x, -100 * (x[:, :2] - 4) / (x[:, 2:] - 20))
         >>> found.projection_centre
     """
-    require_float64()
+    prepare_jax()
     count = np.shape(object_points)[0] if np.ndim(object_points) else 0
     if np.shape(object_points) != (count, 3) or np.shape(coordinates) != (count, 2):
         raise ValueError(

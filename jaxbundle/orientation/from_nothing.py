@@ -15,14 +15,14 @@ from jaxtyping import Bool, Float, Int
 from jaxbundle.block.block import Block
 from jaxbundle.block.given import require_a
 from jaxbundle.block.problems import BlockError, Problem
-from jaxbundle.numerics.float64 import require_float64
 from jaxbundle.numerics.host import on_device
+from jaxbundle.numerics.program_cache import prepare_jax
 from jaxbundle.orientation.anchors import Given, anchors_of, given_of
 from jaxbundle.orientation.approximation import Approximation, Figure, OrientedPart, Step, Way
 from jaxbundle.orientation.common_rays import Directions
 from jaxbundle.orientation.global_start import GlobalStart, PartOrientation, global_start
 from jaxbundle.orientation.oriented import oriented
-from jaxbundle.orientation.planes_and_lines import with_figures
+from jaxbundle.orientation.planes_and_lines import with_planes_and_lines
 from jaxbundle.orientation.robust_intersection import Met, Rays, ahead, met
 from jaxbundle.orientation.sight import Sight, direction_sigmas, sight_of
 from jaxbundle.orientation.start_findings import start_findings
@@ -32,7 +32,7 @@ CONTROL_RAYS = 4  # minimum control points of an image for a resection
 MOST = 0.6  # minimum share of such images for the resection of all
 FINEST = 5e-4  # share of the image field: standard deviation of a direction in a start, half of a thousandth
 SPREAD = 3.0  # times the standard deviation: misfit of rays before the adjustment
-LEAST_POINTS = 5  # minimum points of a resection: four and one check
+MIN_POINTS = 5  # minimum points of a resection: four and one check
 ROUGH = 0.1  # image fields; maximum median angle of an accepted resection
 BEHIND = 0.1  # maximum share of the points behind a resected image
 WAVES = 20
@@ -82,7 +82,7 @@ def approximate(block: Block, *, anew: bool = False) -> Approximation:
         >>> print(start.summary())
         >>> result = jb.adjust(start.block)
     """
-    require_float64()
+    prepare_jax()
     require_a(Block, block, "approximate")
     _require_photographs(block)
     replaced = np.full(len(block.structure.image_names), anew)
@@ -249,7 +249,7 @@ def _waves(work: _Work, state: State) -> tuple[State, int]:
         of_control = np.isin(work.sight.image, left) & usable & ~known[work.sight.point]
         count = np.bincount(work.sight.image[usable], minlength=len(state.centre))
         other = np.bincount(work.sight.image[of_control], minlength=len(state.centre))
-        left = left[count[left] >= np.where(other[left] > 0, LEAST_POINTS, CONTROL_RAYS)]
+        left = left[count[left] >= np.where(other[left] > 0, MIN_POINTS, CONTROL_RAYS)]
         if not len(left):
             break
         new = oriented(sight, left, np.nan_to_num(points), usable, work.block.structure.rotation_system)
@@ -286,7 +286,7 @@ def _answer(work: _Work, way: Way, state: State, rest: tuple) -> Approximation:
         block,
         (on_device(centre), on_device(angles), on_device(points)),
     )
-    new, _ = with_figures(new)
+    new, _ = with_planes_and_lines(new)
     members = _parts(work, state, parts)
     loose = tuple(s.image_names[k] for k in np.flatnonzero(~done))
     names = tuple(OrientedPart(tuple(s.image_names[k] for k in images), basis) for images, basis in members)

@@ -33,10 +33,10 @@ from jaxbundle.solve.adjustment import Status
 from jaxbundle.solve.undetermined import WEAKEST_SHARE
 
 LIMIT = 1e-8  # |J d| / |v| of the last step, as in AngleRule
-FIRST_DAMPING, LEAST_DAMPING, LARGEST_DAMPING = 1e-4, 1e-6, 1e16  # below the minimum, no damping
+FIRST_DAMPING, MIN_DAMPING, MAX_DAMPING = 1e-4, 1e-6, 1e16  # below the minimum, no damping
 ROUNDING = 4 * float(np.finfo(float).eps)
 RUNNING = -1
-MOST_TOGETHER = 6  # number of steps after which most images have converged
+MAX_TOGETHER = 6  # number of steps after which most images have converged
 FEW = 8  # maximum share of images in the further steps
 
 
@@ -148,7 +148,7 @@ def _next_step(model: CameraModel, m: Measured, noise: Array, s: State) -> State
     accepted = (s.trials == 0) | (new.cost <= s.equations.cost + floor)
     running = s.status == RUNNING
     at, e = jax.tree.map(partial(jnp.where, accepted & running), (s.trial, new), (s.at, s.equations))
-    less = jnp.where(s.damping > LEAST_DAMPING, 0.1 * s.damping, 0.0)
+    less = jnp.where(s.damping > MIN_DAMPING, 0.1 * s.damping, 0.0)
     damping = jnp.where(accepted, less, jnp.maximum(10 * s.damping, FIRST_DAMPING))
     factor, scale = stored(factorised(e, damping), m.zero)
     y = stored(forward(factor, [-g * k for g, k in zip(e.gradient, scale, strict=True)]), m.zero)
@@ -157,7 +157,7 @@ def _next_step(model: CameraModel, m: Measured, noise: Array, s: State) -> State
     weakest = 1 / jnp.max(jnp.stack([factor[place(i, i)] for i in range(UNKNOWNS)]), 0) ** 2
     met = undamped & (sum(x * x for x in y) <= 2 * (LIMIT**2 * e.cost + noise))  # |J d|^2
     status = jnp.where(met, int(Status.CONVERGED), RUNNING)
-    status = jnp.where(damping > LARGEST_DAMPING, int(Status.STALLED), status)
+    status = jnp.where(damping > MAX_DAMPING, int(Status.STALLED), status)
     status = jnp.where(undamped & ~(weakest > WEAKEST_SHARE), int(Status.SINGULAR), status)
     return State(
         at,
@@ -183,7 +183,7 @@ def solved(model: CameraModel, m: Measured, start: Orientation, most: int) -> So
 
         return lax.while_loop(going, partial(_next_step, model, m, noise), state)
 
-    last = steps(m, noise, first, min(MOST_TOGETHER, most))
+    last = steps(m, noise, first, min(MAX_TOGETHER, most))
     if noise.ndim and noise.shape[0] > FEW:
         few = jnp.argsort(last.status != RUNNING)[: noise.shape[0] // FEW]
         m_few, noise_few, last_few = jax.tree.map(lambda x: x[..., few], (m, noise, last))

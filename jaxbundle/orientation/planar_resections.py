@@ -20,7 +20,7 @@ from jaxtyping import Array, ArrayLike, Float
 from jaxbundle.camera.direction import direction
 from jaxbundle.camera.model import CameraModel
 from jaxbundle.geometry.rotation import OMEGA_PHI_KAPPA, RotationSystem
-from jaxbundle.numerics.float64 import require_float64
+from jaxbundle.numerics.program_cache import prepare_jax
 from jaxbundle.orientation.resections import Resection, resection
 from jaxbundle.solve.status import Status
 
@@ -88,7 +88,7 @@ def planar_resection(
         >>> jb.orientation.planar_resection(model, [50, 0, 0, 1, 1], points, xy).better.projection_centre.shape
         (3,)
     """
-    require_float64()
+    prepare_jax()
     points, xy = np.asarray(object_points, float), np.asarray(coordinates, float)
     if points.ndim != 2 or points.shape[1:] != (3,) or xy.shape != (len(points), 2):
         raise ValueError(

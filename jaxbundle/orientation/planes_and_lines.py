@@ -27,7 +27,7 @@ DIRECTIONS = tuple(
 )
 
 
-def with_figures(block: Block) -> tuple[Block, list[Problem]]:
+def with_planes_and_lines(block: Block) -> tuple[Block, list[Problem]]:
     """The block with parameters and frames for those that are NaN, and problems of degenerate planes and lines."""
     values = np.array(block.parameters)
     constants = [np.array(group.constants) for group in block.groups]

@@ -19,8 +19,8 @@ from jaxbundle.camera.direction import direction
 from jaxbundle.camera.model import CameraModel
 from jaxbundle.geometry.rotation import from_omega_phi_kappa, to_omega_phi_kappa
 from jaxbundle.numerics.compilation import Compiled
-from jaxbundle.numerics.float64 import require_float64
 from jaxbundle.numerics.host import is_concrete
+from jaxbundle.numerics.program_cache import prepare_jax
 from jaxbundle.orientation import coplanarity
 from jaxbundle.orientation.coplanarity import REJECTED, Pair, Rays
 from jaxbundle.orientation.pair_search import PARALLEL, Found, angular_variance, search, sides
@@ -155,7 +155,7 @@ def relative_orientation(
         >>> found.names
         ('by', 'bz', 'omega2', 'phi2', 'kappa2')
     """
-    require_float64()
+    prepare_jax()
     if convention not in ("dependent", "independent"):
         raise ValueError(f'the convention is "dependent" or "independent", not {convention!r}')
     cameras = (model, interior), second_camera or (model, interior)

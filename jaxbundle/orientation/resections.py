@@ -18,8 +18,8 @@ from jaxtyping import Array, ArrayLike, Bool, Float, Int
 from jaxbundle.camera.model import CameraModel
 from jaxbundle.geometry.rotation import OMEGA_PHI_KAPPA, RotationSystem
 from jaxbundle.numerics.compilation import Compiled
-from jaxbundle.numerics.float64 import require_float64
 from jaxbundle.numerics.host import is_concrete
+from jaxbundle.numerics.program_cache import prepare_jax
 from jaxbundle.orientation.adjusted_image import Start, adjusted_image
 from jaxbundle.orientation.one_image import Measured
 from jaxbundle.orientation.six_unknowns import UNKNOWNS
@@ -89,7 +89,7 @@ def resection(
 
     Raises: ValueError for invalid input, or without float64.
     """
-    require_float64()
+    prepare_jax()
     _require(model, interior, object_points, coordinates, start)
     sigmas = jnp.broadcast_to(jnp.asarray(sigmas, float), np.shape(coordinates))
     given = jnp.asarray(interior, float), jnp.asarray(object_points, float), jnp.asarray(coordinates, float), sigmas

@@ -23,7 +23,7 @@ from jaxbundle.numerics.host import on_device
 from jaxbundle.numerics.shapes import grid_size
 from jaxbundle.orientation.intersection import closest_to_rays
 
-LEAST_FIELD = 1e-6  # rad; an image whose rays have one direction has no image field
+MIN_FIELD = 1e-6  # rad; an image whose rays have one direction has no image field
 HALF = np.pi / 2
 
 
@@ -122,7 +122,7 @@ def _fields(
     for rays in np.split(order, bounds) if len(order) else ():
         # the centre of an image is near the axis: for few rays the axis is the better mean
         field[camera[rays[0]]] = np.median(np.arctan(np.hypot(*plane[rays].T)))
-    return np.maximum(np.nan_to_num(field, nan=1.0), LEAST_FIELD)[image_camera]
+    return np.maximum(np.nan_to_num(field, nan=1.0), MIN_FIELD)[image_camera]
 
 
 def photo_vectors(sight: Sight, points: Float[np.ndarray, "point 3"]) -> Float[np.ndarray, "ray 3"]:

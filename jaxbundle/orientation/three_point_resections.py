@@ -7,7 +7,7 @@ import numpy as np
 from jaxtyping import Array, ArrayLike, Bool, Float
 
 from jaxbundle.geometry.vectors import Vector
-from jaxbundle.numerics.float64 import require_float64
+from jaxbundle.numerics.program_cache import prepare_jax
 from jaxbundle.orientation.three_points import Triple, three_point_solutions
 
 ON_A_LINE = 1e-3  # ratio of the area of the triangle and the square of its longest side
@@ -68,7 +68,7 @@ def three_point_resection(
         >>> found = jb.orientation.three_point_resection(points, [[-30, -40, -200], [70, -40, -200], [-30, 60, -195]])
         >>> found.projection_centre[found.exact]
     """
-    require_float64()
+    prepare_jax()
     if np.shape(object_points) != (3, 3) or np.shape(directions) != (3, 3):
         raise ValueError(
             f"object points of shape {np.shape(object_points)} and directions of shape {np.shape(directions)}; give"

@@ -70,7 +70,7 @@ def _camera(camera: AerialCamera) -> Camera:
     if camera.pixel_size is None:
         return Camera("camera", camera.model, "mm")
     width, height = (round(length / camera.pixel_size) for length in (camera.width, camera.height))
-    return Camera("camera", camera.model, "px", width, height, metric=True)
+    return Camera("camera", camera.model, "px", width, height, principal_distance_in_mm=True)
 
 
 def block_of(

@@ -28,7 +28,7 @@ from jaxbundle.planning.flight import CONTROL_KINDS
 from jaxbundle.planning.prediction import predict, with_exact_observations
 
 PRIOR = 100.0  # factor of the mean standard deviation of a ray on the ground: far larger than in a block with control
-MOST_NUMBERS = 200_000_000  # maximum number of elements of the columns of candidates: 1.6 GB
+MAX_NUMBERS = 200_000_000  # maximum number of elements of the columns of candidates: 1.6 GB
 
 
 class Candidates(NamedTuple):
@@ -75,7 +75,7 @@ def candidates_of(
     if not len(points) or np.min(points) < 0 or np.max(points) >= count:
         raise ValueError(f"candidates are numbers of points from 0 to {count - 1}; give one or more")
     columns = np.flatnonzero(CONTROL_KINDS[kind])
-    if 3 * count * len(points) * len(columns) > MOST_NUMBERS:
+    if 3 * count * len(points) * len(columns) > MAX_NUMBERS:
         raise ValueError(f"{len(points)} candidates of {count} points need too much memory; give fewer candidates")
     weak = prior if prior is not None else PRIOR * ground_sigma(block)
     prepared = with_weak_control(block, points, weak)

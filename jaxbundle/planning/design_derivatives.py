@@ -16,7 +16,7 @@ from jaxtyping import Array, Float, Int
 
 from jaxbundle.block.block import Block
 from jaxbundle.block.datum import with_datum
-from jaxbundle.block.navigation import ATTITUDES, GNSS
+from jaxbundle.block.navigation import ATTITUDES, GNSS_STATIONS
 from jaxbundle.block.observation_kinds import CONTROL, STATIONS
 from jaxbundle.numerics.compilation import QUICKLY, RAYS_FOR_OPTIMISATION
 from jaxbundle.numerics.host import on_device
@@ -80,7 +80,7 @@ def derivatives_of(block: Block, plan: FlightPlan, measure: Measure) -> Derivati
     control = np.flatnonzero(control_of(block))
     sigmas, navigation = np.zeros((len(block.structure.point_names), 3)), 0.0
     for group, derivative in zip(block.groups, by_block.groups, strict=True):
-        if group.structure.kind in (STATIONS, GNSS, *ATTITUDES.values()):
+        if group.structure.kind in (STATIONS, GNSS_STATIONS, *ATTITUDES.values()):
             navigation += float(jnp.sum(derivative.sigmas * group.sigmas * group.structure.observed))
         if group.structure.kind == CONTROL:
             observed = np.where(group.structure.observed, np.asarray(derivative.sigmas), 0.0)

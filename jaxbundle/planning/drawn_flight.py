@@ -57,10 +57,10 @@ def scene_of(plan: FlightPlan, rng: np.random.Generator) -> Scene:
 def near_pairs(plan: FlightPlan, scene: Scene) -> Incidence:
     """All candidate pairs of image and point: the point is in an enlarged footprint of the image."""
     frame: Frame = frame_of(plan)
-    swing = 4 * (plan.tilt + plan.scatter)
+    margin = 4 * (plan.tilt + plan.scatter)
     ground = scene.centres[:, 2].mean() - plan.height
     depth = np.abs(scene.points[:, 2] - ground).max(initial=0.0) / plan.height
-    reach = (0.5 + depth + swing) * np.array(frame.footprint) + (swing + 1e-6) * plan.height
+    reach = (0.5 + depth + margin) * np.array(frame.footprint) + (margin + 1e-6) * plan.height
     tree = KDTree(scene.points[:, :2])
     found = tree.query_ball_point(scene.centres[:, :2], math.hypot(*reach))
     image = np.repeat(np.arange(len(found)), [len(f) for f in found])

@@ -15,10 +15,9 @@ from jaxbundle.camera.brown import BROWN, DISTORTION_FREE
 from jaxbundle.camera.camera_models import CAMERA_MODELS
 from jaxbundle.camera.model import CameraModel
 
-SCATTER = (
-    0.01  # share of the flying height: deviations of stations from their nominal positions, and of approximate values
-)
-TIE_LAYOUTS = ("shaken", "grid", "random", "schematic")
+# share of the flying height: deviations of stations from their nominal positions, and of approximate values
+SCATTER = 0.01
+TIE_LAYOUTS = ("jittered", "grid", "random", "schematic")
 CONTROL_LAYOUTS = ("rows", "corners", "perimeter", "grid", "chains", "points")
 CONTROL_KINDS = {"full": (True, True, True), "plan": (True, True, False), "height": (False, False, True)}
 SYSTEMATIC_OF = ("none", "block", "strip")
@@ -100,12 +99,12 @@ class Terrain:
 class Ties:
     """Number and layout of the tie points of a flight.
 
-    `layout`: "shaken", a grid whose points are shifted at random, "grid", "random", or "schematic", columns at the
+    `layout`: "jittered", a grid whose points are shifted at random, "grid", "random", or "schematic", columns at the
     stations and `rows` rows per strip distance, among them the axes of the strips. Control and check points of a
     schematic layout are at the nearest tie points.
     """
 
-    layout: str = "shaken"
+    layout: str = "jittered"
     points_per_image: int = 60
     rows: int = 2
 

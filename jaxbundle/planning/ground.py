@@ -169,7 +169,7 @@ def _tie_points(
         return low + (high - low) * rng.uniform(size=xy.shape)
     if plan.ties.layout == "grid":
         return xy
-    return xy + SHAKE * spacing * rng.uniform(-1, 1, (2, len(xy))).T
+    return xy + JITTER * spacing * rng.uniform(-1, 1, (2, len(xy))).T
 
 
 def _schematic(plan: FlightPlan, frame: Frame, stations: Stations) -> Float[np.ndarray, "tie 2"]:

@@ -12,7 +12,7 @@ import numpy as np
 from jaxtyping import Array, Float
 
 from jaxbundle.block.block import Block, Owner, Parameter
-from jaxbundle.block.navigation import ATTITUDES, GNSS
+from jaxbundle.block.navigation import ATTITUDES, GNSS_STATIONS
 from jaxbundle.block.observation_kinds import STATIONS, ObservationGroup, ObservationKind, observation_group
 from jaxbundle.block.residuals import group_arrays, group_residuals
 from jaxbundle.block.unknowns import unknowns_of
@@ -28,7 +28,7 @@ class Table(NamedTuple):
     vectors: tuple[str, str, str]
 
 
-CENTRES = Table(GNSS, ("lever_arm", "shift", "drift"))
+CENTRES = Table(GNSS_STATIONS, ("lever_arm", "shift", "drift"))
 ANGLES = Table(ATTITUDES[OMEGA_PHI_KAPPA.name], ("boresight", "attitude_shift", "attitude_drift"))
 
 

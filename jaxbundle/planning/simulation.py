@@ -12,7 +12,7 @@ from jaxtyping import Int
 
 from jaxbundle.block.block import Block
 from jaxbundle.block.problems import BlockError, Problem
-from jaxbundle.numerics.float64 import require_float64
+from jaxbundle.numerics.program_cache import prepare_jax
 from jaxbundle.planning.assembly import block_of, structure_of, with_approximations, with_errors, with_gross_errors
 from jaxbundle.planning.drawn_flight import Scene, near_pairs, scene_of, shown
 from jaxbundle.planning.exact import exact_coordinates
@@ -117,7 +117,7 @@ def simulate_flight(plan: FlightPlan) -> SimulatedFlight:
 
     Example: `simulate_flight(FlightPlan(3, 10, gnss=Navigation((0.05, 0.05, 0.1), "strip"))).block`
     """
-    require_float64()
+    prepare_jax()
     problems = plan_problems(plan)
     if problems:
         raise BlockError([Problem(*problem.rsplit("; ", 1), table="flight") for problem in problems])

@@ -134,7 +134,7 @@ def _models(result: ModelAdjustment, figures: Figures) -> Section:
     )
     every = np.arange(count)
     table = ReportTable("models", columns, *first(every, of.IMAGES, "models"), results=every, below=True)
-    return Section("Models: adjusted value and standard deviation below", (table,))
+    return Section("Models: adjusted values and standard deviations", (table,))
 
 
 def _places(deviations: np.ndarray) -> list[int]:

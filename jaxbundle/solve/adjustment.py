@@ -11,12 +11,12 @@ from jaxtyping import Array, Float, Int
 from jaxbundle.block.block import Block
 from jaxbundle.block.findings import Finding, Kind, Severity, of_kind
 from jaxbundle.block.named import CameraValues, ImageValues, Named, PointValues
+from jaxbundle.block.notebook import result_html
 from jaxbundle.block.wording import counted
 from jaxbundle.normals.pcg import TOLERANCE
 from jaxbundle.numerics.host import array_module, is_concrete, on_device, on_host
 from jaxbundle.numerics.offered import offered
 from jaxbundle.solve.history import History
-from jaxbundle.solve.notebook import result_html
 from jaxbundle.solve.options import Options
 from jaxbundle.solve.status import Status
 from jaxbundle.solve.weight_functions import with_weights
@@ -134,7 +134,7 @@ class Adjustment(eqx.Module):
             ("verdict", self.verdict),
             ("sigma0", f"{float(self.sigma0):.6g}"),
             ("block", ", ".join((*counts, counted(len(structure.ray_image), "ray")))),
-            ("redundancy", f"{self.redundancy} = {self.observations} observations - {self.unknowns} unknowns"),
+            ("redundancy", f"{self.redundancy} = {self.n_observations} observations - {self.n_unknowns} unknowns"),
             ("datum", str(structure.datum)),
             ("iterations", f"{int(self.iterations.trials)}, {int(self.iterations.accepted)} accepted"),
         ]
@@ -161,14 +161,14 @@ class Adjustment(eqx.Module):
         return with_weights(self.block, np.asarray(self.block.rays.sigmas), np.asarray(self.reweighting.weights))
 
     @property
-    def observations(self) -> int:
+    def n_observations(self) -> int:
         """The number M of observations."""
-        return self.block.observations
+        return self.block.n_observations
 
     @property
-    def unknowns(self) -> int:
+    def n_unknowns(self) -> int:
         """The number N of unknowns."""
-        return self.block.structure.unknowns
+        return self.block.structure.n_unknowns
 
     @property
     def redundancy(self) -> int:
@@ -177,7 +177,7 @@ class Adjustment(eqx.Module):
 
     @property
     def vtpv(self) -> Float[Array, ""]:
-        """The weighted sum of squares v^T P v of all observations."""
+        """The weighted sum of squares The weighted sum of squares v^T P v of all observations."""
         squares = [array_module(v).sum(on_host(v) ** 2) for v in self.weighted_residuals]
         return on_device(sum(squares, 0.0))
 
@@ -338,7 +338,7 @@ class Adjustment(eqx.Module):
             f"The adjustment {self._verdict(failures)}"
             f" ({self.method}, {int(n.accepted)} steps of {int(n.trials)} tried,"
             f" stopping rule {self.stopping_rule}: {float(n.measure):.1e})",
-            f"Observations {self.observations}, unknowns {self.unknowns}, redundancy {self.redundancy}",
+            f"Observations {self.n_observations}, unknowns {self.n_unknowns}, redundancy {self.redundancy}",
             f"Datum: {structure.datum}",
             f"Reduced normal equations: {REDUCED[self.reduced]}",
             f"vTPv {float(n.initial_cost) * 2:.8g} -> {float(self.vtpv):.8g}, sigma0 {float(self.sigma0):.6g}",

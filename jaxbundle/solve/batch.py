@@ -7,6 +7,8 @@ from typing import Any, NamedTuple, Unpack
 
 from jaxbundle.block.block import Block
 from jaxbundle.block.given import require_a
+from jaxbundle.block.notebook import table_html
+from jaxbundle.block.wording import counted
 from jaxbundle.solve.adjust import adjust
 from jaxbundle.solve.adjustment import Adjustment, Status
 from jaxbundle.solve.options import Choices, Options, chosen
@@ -34,7 +36,7 @@ def row_of(name: str, a: Adjustment, seconds: float) -> Row:
     status = a.status.name.lower().replace("_", " ")
     problem = "; ".join(finding.words for finding in a.failures)
     sigma0, iterations = float(a.sigma0), int(a.iterations.trials)
-    return Row(name, status, a.observations, a.unknowns, a.redundancy, sigma0, iterations, seconds, problem)
+    return Row(name, status, a.n_observations, a.n_unknowns, a.redundancy, sigma0, iterations, seconds, problem)
 
 
 def failed_row(name: str, error: Exception, seconds: float) -> Row:
@@ -77,6 +79,10 @@ class Batch:
     def table(self) -> list[Row]:
         """The table with one row for each block."""
         return [outcome.row for outcome in self.outcomes]
+
+    def _repr_html_(self) -> str:
+        rows = [_cells(row) for row in self.table()]
+        return table_html(f"Batch of {counted(len(rows), 'block')}", Row._fields, rows)
 
     def summary(self) -> str:
         """The table in aligned columns, one line per block, with the beginning of its problem."""

@@ -115,7 +115,7 @@ def _require_form(path: Path, leaves: list[np.ndarray], form: list[np.ndarray]) 
             raise CheckpointError(f"{path} is damaged: its array {k} has a value that is not a finite number; {_CURE}")
 
 
-class Keeper(NamedTuple):
+class Checkpointer(NamedTuple):
     """Saves the state of one solve in one file."""
 
     path: Path
@@ -129,10 +129,10 @@ class Keeper(NamedTuple):
         if self.path.exists() and is_first_process():
             unknowns, state = load(self.path, self.mark, unknowns, state)
         else:
-            self.keep(unknowns, state)  # a file that cannot be written is reported before the solve
+            self.save(unknowns, state)  # a file that cannot be written is reported before the solve
         return from_first_process((unknowns, state))
 
-    def keep(self, unknowns: Unknowns, state: Any) -> None:
+    def save(self, unknowns: Unknowns, state: Any) -> None:
         """Saves the current state."""
         if is_first_process():
             save(self.path, self.mark, unknowns, state)

@@ -19,8 +19,8 @@ from jaxtyping import Array, Bool, Float
 from jaxbundle.numerics.host import on_device
 
 INITIAL_DAMPING = 1e-4  # Ceres's first trust region; with 1e-6 Ladybug-49 converges to a worse minimum
-LEAST_FACTOR = 0.1
-LEAST_RATIO = 1e-3  # minimum share of the predicted reduction for an accepted step; Ceres's min_relative_decrease
+MIN_FACTOR = 0.1
+MIN_RATIO = 1e-3  # minimum share of the predicted reduction for an accepted step; Ceres's min_relative_decrease
 
 
 class DampingState(NamedTuple):
@@ -67,8 +67,8 @@ class Marquardt(AbstractDamping):
         floor = 16 * jnp.finfo(cost.dtype).eps * cost + 2 * jnp.sqrt(cost * noise) + noise
         # at the rounding level the ratio is noise: a full step is accepted, damped ones would never end
         at_floor = (jnp.abs(reduction) <= floor) & (jnp.abs(predicted) <= floor) & ~state.raised
-        accepted = (jnp.isfinite(reduction) & (predicted > 0) & (ratio > LEAST_RATIO)) | at_floor
-        factor = jnp.maximum(LEAST_FACTOR, 1 - (2 * jnp.where(at_floor, 1.0, ratio) - 1) ** 3)
+        accepted = (jnp.isfinite(reduction) & (predicted > 0) & (ratio > MIN_RATIO)) | at_floor
+        factor = jnp.maximum(MIN_FACTOR, 1 - (2 * jnp.where(at_floor, 1.0, ratio) - 1) ** 3)
         raised = state.factor * jnp.where(accepted, factor, state.growth)
         return accepted, DampingState(raised, jnp.where(accepted, 2.0, 2 * state.growth), ~accepted)
 

@@ -52,7 +52,7 @@ def with_derivatives(
     found: Cofactors, x: OrderedUnknowns, p: Problem, plan: EliminationPlan, structure: Structure, optimised: bool
 ) -> Cofactors:
     """The cofactors as functions of the unknowns and of the observations."""
-    free = free_places(plan, structure) if structure.unknowns <= MAX_UNKNOWNS else None
+    free = free_places(plan, structure) if structure.n_unknowns <= MAX_UNKNOWNS else None
     given = Precision(found.images, found.border, found.points, found.leverages)
     q = _precision(given, x, p, free, optimised)
     return found._replace(images=q.images, border=q.border, points=q.points, leverages=q.leverages)

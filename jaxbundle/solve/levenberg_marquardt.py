@@ -43,7 +43,7 @@ RESULTS = optx.RESULTS
 _SINGULAR: Any = RESULTS.singular
 _STAGNATION: Any = RESULTS.stagnation
 FLAT = 1e-8  # cosine of the angle between v and the column of an unknown: same limit as the angle rule
-LARGEST_DAMPING = 1e16  # maximum damping: with more, a step does not change the unknowns in double precision
+MAX_DAMPING = 1e16  # maximum damping: with more, a step does not change the unknowns in double precision
 
 
 class Arguments(NamedTuple):
@@ -127,7 +127,7 @@ class BundleSolver(optx.AbstractLeastSquaresSolver[OrderedUnknowns, Any, Any, St
         undamped = factor == 0
         flat = is_flat(trial.steepness, trial.cost, trial.noise, FLAT)
         converged = met & (undamped | (uncertified & flat))
-        stalled = ~converged & (damping.factor > LARGEST_DAMPING)
+        stalled = ~converged & (damping.factor > MAX_DAMPING)
         hopeless = undamped & ~state.certifying & ~accepted  # Gauss-Newton has no shorter step
         diverged = RESULTS.where(trial.finite, RESULTS.nonlinear_divergence, _SINGULAR)
         result = RESULTS.where(stalled, _STAGNATION, RESULTS.successful)

@@ -7,7 +7,7 @@ from typing import Any, TypedDict, get_args
 import equinox as eqx
 
 from jaxbundle.normals.plan.reduced_plan import Method
-from jaxbundle.numerics.float64 import require_float64
+from jaxbundle.numerics.program_cache import prepare_jax
 from jaxbundle.solve.implicit import Derivatives
 from jaxbundle.solve.stopping_rules import AbstractStoppingRule, AngleRule
 from jaxbundle.solve.weight_functions import AbstractWeightFunction
@@ -60,7 +60,7 @@ class Options(eqx.Module):
     """The derivatives of the minimum: "exact" or "gauss-newton"."""
 
     def __check_init__(self) -> None:
-        require_float64()
+        prepare_jax()
         if not isinstance(self.stop, AbstractStoppingRule):
             raise TypeError(f"stop takes a stopping rule, such as jb.stopping.AngleRule(), not {self.stop!r}")
         if not isinstance(self.robust, AbstractWeightFunction | None):

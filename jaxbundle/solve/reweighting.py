@@ -24,7 +24,7 @@ from jaxbundle.solve.adjustment import Adjustment, Reweighting, Status
 from jaxbundle.solve.weight_functions import AbstractWeightFunction, Huber, with_weights
 
 SETTLED = 1e-4  # maximum change of a converged weight
-MOST_ROUNDS = 50
+MAX_ROUNDS = 50
 FAILED_ROUNDS = 2  # successive failed adjustments: one may have a distant start, after two the next is not better
 
 
@@ -77,7 +77,7 @@ def _rounds(block: Block, function: AbstractWeightFunction, solve: Solve) -> _En
     first = Huber() if function.redescending else function
     try:
         for now in dict.fromkeys((first, function)):
-            for _ in range(MOST_ROUNDS):
+            for _ in range(MAX_ROUNDS):
                 if start.status is Status.INTERRUPTED:
                     return _End(start, weights, rounds, False, [])
                 rounds += 1
@@ -114,7 +114,7 @@ def _given_up(end: _End) -> Finding:
 def normed_lengths(adjustment: Adjustment, sigmas: np.ndarray, weights: np.ndarray) -> Float[np.ndarray, " ray"]:
     """Computes t of each ray; the scale comes from the rays that have a weight."""
     t = np.linalg.norm(np.asarray(adjustment.residuals[0]) / sigmas, axis=1)
-    redundancy = np.clip(adjustment.redundancy / adjustment.observations, 0.05, 1.0)
+    redundancy = np.clip(adjustment.redundancy / adjustment.n_observations, 0.05, 1.0)
     scale = np.median(t[weights > 0.01] if (weights > 0.01).any() else t) / np.sqrt(redundancy)
     scale /= median_length(sigmas.shape[1])
     return t / max(scale, np.finfo(float).tiny)

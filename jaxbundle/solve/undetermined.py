@@ -31,7 +31,7 @@ from jaxbundle.numerics.shapes import grid_size
 from jaxbundle.solve.free_network import similarities
 from jaxbundle.solve.similarity_findings import Gauge, gauge_findings
 
-MOST_NAMED = 3000  # unknowns of the reduced equations; above this, only the failed unknown is reported
+MAX_NAMED = 3000  # unknowns of the reduced equations; above this, only the unknown at which the factorisation failed is reported
 HELD = 1e-8  # share of a transformation's length that changes a fixed unknown
 RANK = 1e-10  # share of the maximum: smaller ones are combinations of others, such as the scale of a single image
 TOGETHER = 1e-3  # element of the projector on the null space: below this two unknowns are independent
@@ -238,14 +238,14 @@ def _others(
     structure: Structure, plan: EliminationPlan, scaled: Scaled, found: Inspection, gauge: Float[np.ndarray, "kept g"]
 ) -> tuple[list[Finding], int]:
     """Undetermined directions other than similarity transformations, by the affected unknowns."""
-    names, count = kept_names(structure, plan), len(scaled.root)
+    names, count = reduced_names(structure, plan), len(scaled.root)
     if found.softest is not None:
         direction = found.softest.direction
         vector = scaled.root * np.concatenate([np.asarray(direction.images).ravel(), np.asarray(direction.border)])
         vectors = (vector / np.linalg.norm(vector))[:, None]
         if not float(found.softest.share) <= WEAKEST_SHARE:
             vectors = np.eye(count)[:, _failed(found)]
-    elif count > MOST_NAMED:
+    elif count > MAX_NAMED:
         vectors = np.eye(count)[:, _failed(found)[:1]] if not gauge.shape[1] else np.zeros((count, 0))
     else:
         matrix = scaled.matrix()
@@ -285,7 +285,7 @@ def _by_cause(null: Float[np.ndarray, "kept direction"], names: dict[int, tuple[
     return found
 
 
-def kept_names(structure: Structure, a: EliminationPlan) -> dict[int, tuple[str, str, str]]:
+def reduced_names(structure: Structure, a: EliminationPlan) -> dict[int, tuple[str, str, str]]:
     """Kind of entity, name and element of each unknown of the reduced equations, in elimination order."""
     names = {}
     d, q = a.layout.image, len(structure.interior_columns)

@@ -20,7 +20,7 @@ from jaxtyping import Array, Float
 from jaxbundle.block.block import Block
 from jaxbundle.numerics.host import on_device
 
-LEAST_WEIGHT = 1e-12  # weight of a down-weighted ray instead of 0: its sigma is then finite
+MIN_WEIGHT = 1e-12  # weight of a down-weighted ray instead of 0: its sigma is then finite
 
 
 class AbstractWeightFunction(eqx.Module):
@@ -81,5 +81,5 @@ WEIGHT_FUNCTIONS = {function.name: function for function in (Huber, Cauchy, Tuke
 
 def with_weights(block: Block, sigmas: Float[np.ndarray, "ray 2"], weights: Float[np.ndarray, " ray"]) -> Block:
     """The block in which the sigmas of the rays are `sigmas` divided by the roots of the weights."""
-    factor = np.sqrt(np.maximum(weights, LEAST_WEIGHT))[:, None]
+    factor = np.sqrt(np.maximum(weights, MIN_WEIGHT))[:, None]
     return eqx.tree_at(lambda b: b.rays.sigmas, block, on_device(sigmas / factor))

@@ -33,21 +33,20 @@ from jaxbundle.solve.adjustment import Adjustment, Status
 from jaxbundle.solve.options import Choices, Options, chosen
 from jaxbundle.statistics import dense
 from jaxbundle.statistics.reliability_tables import redundancy_numbers
-from jaxbundle.statistics.subsets import Subset, all_observations, require_whole_members, three_groups
+from jaxbundle.statistics.subsets import Subset, all_observations, default_groups, require_whole_members
 
 Form = Literal["redundancy", "helmert"]
 Groups = Float[np.ndarray, " group"]
 Free = Bool[np.ndarray, " group"]
-LEAST_REDUNDANCY = (
-    3.0  # minimum redundancy of a group: with less, the relative standard deviation of its component exceeds 0.8
-)
-LARGEST_STEP = 100.0  # maximum change of a component in one round
-LARGEST_COMPONENT = 1e6  # or its inverse: sigmas that are wrong by a factor of a thousand are not a problem of weights
+# minimum redundancy of a group: with less, the relative standard deviation of its component exceeds 0.8
+MIN_REDUNDANCY = 3.0
+MAX_STEP = 100.0  # maximum change of a component in one round
+MAX_COMPONENT = 1e6  # or its inverse: sigmas that are wrong by a factor of a thousand are not a problem of weights
 INSEPARABLE = 1e-10  # minimum eigenvalue of S with a unit diagonal
 REST = "not requested"
-SMALL = f"redundancy below {LEAST_REDUNDANCY:g}"
-FALLEN = f"while the component decreased, its redundancy fell below {LEAST_REDUNDANCY:g}"
-LIMIT = f"above {LARGEST_COMPONENT:g} or below its inverse"
+SMALL = f"redundancy below {MIN_REDUNDANCY:g}"
+FALLEN = f"while the component decreased, its redundancy fell below {MIN_REDUNDANCY:g}"
+LIMIT = f"above {MAX_COMPONENT:g} or below its inverse"
 
 
 class HelmertSystem(NamedTuple):
@@ -138,7 +137,7 @@ def variance_components(
 ) -> VarianceComponents:
     """Adjusts a block repeatedly until the sigmas of each group agree with its residuals.
 
-    `subsets`: disjoint groups of observations, the three of `three_groups` if none are given. `form`: "redundancy" or
+    `subsets`: disjoint groups of observations, the three of `default_groups` if none are given. `form`: "redundancy" or
     "helmert". `tolerance`: maximum relative change of a component at the end. `options` and all other keywords are
     those of `adjust`.
 
@@ -156,7 +155,7 @@ def variance_components(
             "robust weights and variance components must not be combined: they explain the same residuals; choose one"
         )
     require_valid(block)
-    asked = three_groups(block) if subsets is None else tuple(subsets)
+    asked = default_groups(block) if subsets is None else tuple(subsets)
     block, groups = with_datum(block), _with_rest(block, asked)
     # redundancy numbers are computed with the cofactors
     quick, fully = (dataclasses.replace(wanted, precision=precision) for precision in (form == "redundancy", True))
@@ -237,7 +236,7 @@ class _Guard:
 
     def followed(self, step: _Step, tolerance: float) -> bool:
         """Whether the components have converged; if not, they are changed by the step."""
-        small = ~self.rest & ~self.at_limit & (step.redundancy < LEAST_REDUNDANCY)
+        small = ~self.rest & ~self.at_limit & (step.redundancy < MIN_REDUNDANCY)
         self._fallen |= small & self._followed  # otherwise it could alternate for ever
         self.small = small | self._fallen
         back = self.small & (self.components != 1)
@@ -248,8 +247,8 @@ class _Guard:
         self.negative |= negative
         if np.abs(s - 1).max(initial=0.0) <= tolerance:
             return True
-        reached = self.components * np.clip(s, 1 / LARGEST_STEP, LARGEST_STEP)
-        self.components = np.clip(reached, 1 / LARGEST_COMPONENT, LARGEST_COMPONENT)
+        reached = self.components * np.clip(s, 1 / MAX_STEP, MAX_STEP)
+        self.components = np.clip(reached, 1 / MAX_COMPONENT, MAX_COMPONENT)
         self.at_limit |= reached != self.components
         self._followed |= self.free
         return False
@@ -316,7 +315,7 @@ def _deviations(adjustment: Adjustment, groups: Sequence[Subset], free: Free) ->
     S_ii is at most r_i and a diagonal element of S^-1 at least 1 / S_ii.
     """
     deviations = np.full(len(groups), np.nan)
-    if adjustment.unknowns > dense.MAX_UNKNOWNS:
+    if adjustment.n_unknowns > dense.MAX_UNKNOWNS:
         deviations[free] = np.sqrt(2 / _redundancy(adjustment, groups)[free])
         return deviations, True
     matrix = helmert_system(dense.dense_system(adjustment), groups).matrix[np.ix_(free, free)]

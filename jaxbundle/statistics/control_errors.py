@@ -42,7 +42,7 @@ from jaxbundle.statistics.subsets import (
 NEGLIGIBLE = 0.11  # Text 001, eq. (7)
 LEVEL = 0.001  # level of the tests: one in a thousand points without gross error is suspected (Baarda 1968)
 FIXED = 1e-14  # Q0 / Q of an unknown that the control fixes: the square of a rounding error
-LEAST_RANK = 1e-10  # eigenvalues of I - H, and norms of a basis: smaller ones are rounding
+MIN_RANK = 1e-10  # eigenvalues of I - H, and norms of a basis: smaller ones are rounding
 
 
 class ResidualTest(NamedTuple):
@@ -188,7 +188,7 @@ def _basis(
         for _ in range(2):  # a single pass leaves rounding errors
             left = left - before @ (before.T @ left)
     left, size, _ = np.linalg.svd(left, full_matrices=False)
-    return left[:, size > LEAST_RANK]
+    return left[:, size > MIN_RANK]
 
 
 def _residual_test(system: DenseSystem, adjustment: Adjustment, rows: Int[np.ndarray, " chosen"]) -> ResidualTest:
@@ -196,7 +196,7 @@ def _residual_test(system: DenseSystem, adjustment: Adjustment, rows: Int[np.nda
     v = np.concatenate([np.asarray(table).ravel() for table in adjustment.weighted_residuals])[rows]
     part = system.orthogonal[rows]
     values, vectors = np.linalg.eigh(np.eye(len(rows)) - part @ part.T)
-    tested = values > LEAST_RANK
+    tested = values > MIN_RANK
     along = vectors[:, tested].T @ v
     return _probability(float(np.sum(along**2 / values[tested])), int(tested.sum()))
 

@@ -23,7 +23,7 @@ from jaxbundle.solve.adjustment import Adjustment
 from jaxbundle.statistics.subsets import Subset
 
 UNKNOWNS_FOR_OPTIMISATION = 500  # below this, the design matrix takes less time than optimising its program
-LEAST_PIVOT = 1e-11  # of a column of A: below this rounding decides, as in the search for undetermined unknowns
+MIN_PIVOT = 1e-11  # of a column of A: below this rounding decides, as in the search for undetermined unknowns
 
 
 class UnknownTables(NamedTuple):
@@ -96,10 +96,10 @@ def dense_system(adjustment: Adjustment) -> DenseSystem:
 def block_system(block: Block) -> DenseSystem:
     """The system at the values of a block with a defined datum; raises as `dense_system`."""
     structure = block.structure
-    if structure.unknowns > MAX_UNKNOWNS:
+    if structure.n_unknowns > MAX_UNKNOWNS:
         raise ValueError(
             f"this requires the full cofactor matrix, limited to {MAX_UNKNOWNS} unknowns; the block has"
-            f" {structure.unknowns}"
+            f" {structure.n_unknowns}"
         )
     centred = block.moved(-np.asarray(block.exterior.projection_centre).mean(0))
     observations = observations_of(centred)
@@ -111,7 +111,7 @@ def block_system(block: Block) -> DenseSystem:
         block.exterior.angles,
         optimised=free.number >= UNKNOWNS_FOR_OPTIMISATION,
     )
-    if not np.all(np.asarray(pivots)[: free.number] > LEAST_PIVOT):
+    if not np.all(np.asarray(pivots)[: free.number] > MIN_PIVOT):
         raise ValueError("some unknowns are undetermined; the findings of adjust() name them")
     orthogonal, inverse = np.array(orthogonal[:, : free.number]), np.array(inverse[: free.number, : free.number])
     exterior = np.zeros((6, len(structure.image_names), free.number))

@@ -38,7 +38,7 @@ from jaxbundle.numerics.compilation import RAYS_FOR_OPTIMISATION, Compiled
 from jaxbundle.numerics.host import on_device
 from jaxbundle.numerics.shapes import grid_size
 
-MOST_DENSE = 1500  # unknowns: up to this number the full design matrix is faster than a solution for each column
+MAX_DENSE = 1500  # unknowns: up to this number the full design matrix is faster than a solution for each column
 DETERMINED = 1e-11  # diagonal of R, for columns of A of length 1: smaller ones are rounding
 FIXED = -1  # table of a fixed coordinate, which is not observed
 
@@ -84,7 +84,7 @@ def error_tests(block: Block, residuals: Sequence[np.ndarray], columns: Sequence
     v = np.concatenate([np.asarray(table).ravel() for table in residuals])
     gram, right, vtpv = (c.T @ c).toarray(), c.T @ v, float(v @ v)
     lengths = np.diagonal(gram).copy()
-    if block.structure.unknowns > MOST_DENSE:
+    if block.structure.n_unknowns > MAX_DENSE:
         explained = _explained_by_elimination(block, centred, unknowns, _transposed_products(unknowns, observations, c))
     else:
         explained, by_step, gain = _explained_densely(unknowns, observations, c, v)

@@ -27,7 +27,7 @@ IMAGES = 8  # images whose rays are tested as a whole: those with the largest me
 FEWEST_RAYS = 4  # minimum rays of an image or camera that is tested as a whole: scale and shift are 3 numbers
 FEWEST_ALIKE = 3  # minimum rows of images with a common prefix of their names that are tested as a group
 WIDEST = 3e7  # rays times columns of images: above this, only single rays are tested
-FEWEST_COLUMNS, MOST_COLUMNS = 60, 500
+FEWEST_COLUMNS, MAX_COLUMNS = 60, 500
 NUMBERS = 3e7  # elements of all columns times all unknowns: 240 MB
 NEAR_POINTS = 1000  # number of pairs of control points that are tested for exchanged names
 SCALED = (
@@ -63,7 +63,7 @@ class _Collection:
         self.combinations: list[tuple[Int[np.ndarray, " entry"], Float[np.ndarray, " entry"]]] = []
         self.found: list[Hypothesis] = []
         self.at: dict[tuple[int, int], dict[int, int]] = {}  # table, member -> component -> column
-        self.room = int(np.clip(NUMBERS / max(self.s.unknowns, 1), FEWEST_COLUMNS, MOST_COLUMNS))
+        self.room = int(np.clip(NUMBERS / max(self.s.n_unknowns, 1), FEWEST_COLUMNS, MAX_COLUMNS))
 
     def everything(self) -> Hypotheses:
         """Returns all hypotheses."""
@@ -82,7 +82,7 @@ class _Collection:
         shape = (len(self.columns), len(self.combinations))
         combinations = sp.csc_matrix((values, (rows, np.concatenate(places))), shape)
         rows = len(self.s.ray_image) + sum(len(group.structure.indices) for group in self.block.groups)
-        return Hypotheses(tuple(self.found), tuple(self.columns), combinations, self.block.observations + rows)
+        return Hypotheses(tuple(self.found), tuple(self.columns), combinations, self.block.n_observations + rows)
 
     # columns
 

@@ -24,9 +24,8 @@ from jaxbundle.statistics.hypotheses import Cause, Hypothesis
 
 CONTROLLED = 1e-6  # minimum part of an error in the residuals; a smaller part is affected by rounding
 CONTROLLED_AS_GROUP = 0.01  # for a group: a smaller part means that the unknowns absorb the error
-LEAST_SCALE = (
-    0.02  # relative scale of all rays of an image: smaller ones are errors of the camera model, not a wrong resolution
-)
+# relative scale of all rays of an image: smaller ones are errors of the camera model, not a wrong resolution
+MIN_SCALE = 0.02
 TINY = 1e-250  # probabilities below are computed as logarithms
 EXACT = 0.1  # tolerance of the linear estimate of the size of a mistake of size 1, in addition to SURE s.d.
 SURE = 4.0
@@ -111,7 +110,7 @@ class Selection:
         f = found.statistic / np.maximum(found.degrees, 1) / np.maximum(left, 1.0)
         usable = (found.degrees > 0) & (t.redundancy > found.degrees)
         wrong_size = np.abs(sizes - 1) > EXACT + SURE * deviations * np.sqrt(np.maximum(left, 1.0))
-        usable &= ~(self._exact & wrong_size) & ~(self._scales & (np.abs(sizes) < LEAST_SCALE))
+        usable &= ~(self._exact & wrong_size) & ~(self._scales & (np.abs(sizes) < MIN_SCALE))
         log = np.where(usable, log_probability(f, found.degrees, t.redundancy - found.degrees), 0.0)
         return found._replace(log_probability=log)
 

@@ -137,9 +137,9 @@ def all_control(block: Block) -> Subset:
     return _members(block, "all control", lambda group: group.structure.observed)
 
 
-def three_groups(block: Block) -> tuple[Subset, ...]:
+def default_groups(block: Block) -> tuple[Subset, ...]:
     """Groups I and II of Text 001 and, instead of group III, one subset per kind of observation."""
-    require_a(Block, block, "statistics.three_groups")
+    require_a(Block, block, "statistics.default_groups")
     kinds = dict.fromkeys(group.structure.kind.name for group in block.groups)
     subsets = control_rays(block), tie_rays(block), *(observations_of_kind(block, kind) for kind in kinds)
     return tuple(subset for subset in subsets if subset.count)

@@ -19,7 +19,7 @@ from jaxbundle.block.findings import Subject
 from jaxbundle.numerics.host import on_device
 from jaxbundle.solve.adjustment import Adjustment, Status
 from jaxbundle.solve.attempt import attempt
-from jaxbundle.statistics.error_columns import FIXED, MOST_DENSE, ErrorColumn, ErrorTests, error_tests
+from jaxbundle.statistics.error_columns import FIXED, MAX_DENSE, ErrorColumn, ErrorTests, error_tests
 from jaxbundle.statistics.hypotheses import Cause, Hypotheses, Hypothesis
 from jaxbundle.statistics.possible_errors import computed_values, possible_errors
 from jaxbundle.statistics.reliability_tables import POWER, critical_w, level_of_one, redundancy_numbers
@@ -124,7 +124,7 @@ def _start(adjustment: Adjustment, level: float) -> "_State":
     """
     given, roots = adjustment.block, _roots(adjustment)
     state = _State.of(given, given, _tables(adjustment), roots, level)
-    if float(adjustment.sigma0) < LARGE or given.structure.unknowns > MOST_DENSE:
+    if float(adjustment.sigma0) < LARGE or given.structure.n_unknowns > MAX_DENSE:
         return state
     robust = robust_point(adjustment)
     if robust is None:

@@ -28,7 +28,7 @@ from jaxtyping import Array, Float
 
 from jaxbundle.camera.collinearity import central_projection, collinearity, photo_vector
 from jaxbundle.geometry.rotation import IDENTITY, Rotation, apply, from_alpha_omega_kappa, product, transpose
-from jaxbundle.numerics.float64 import require_float64
+from jaxbundle.numerics.program_cache import prepare_jax
 from jaxbundle.textbook.partials import (
     FORMULAS,
     MATRIX_ELEMENTS,
@@ -134,7 +134,7 @@ def crosscheck(partials: Formulas | None = None, *, draws: int = 100_000, seed: 
     A1 ... A9, B1 ... B9, as `printed_partials` does: `rotation` = (a1, a2, a3, b1, b2, b3, c1, c2, c3), `angles` =
     (alpha, omega, kappa), two points, f. Each of these scalars is an array with one element per ray.
     """
-    require_float64()
+    prepare_jax()
     if draws < 1:
         raise ValueError(f"draws is {draws}; a comparison needs at least 1 ray")
     formulas, title = (printed_partials, "as printed") if partials is None else (partials, "as given")

@@ -13,7 +13,7 @@ from jaxbundle.block.block import Block, Datum, Parameter
 from jaxbundle.block.datum import with_datum
 from jaxbundle.block.datum_defect import datum_defect
 from jaxbundle.block.geodetic import DISTANCES, geodetic_kind
-from jaxbundle.block.navigation import GNSS
+from jaxbundle.block.navigation import GNSS_STATIONS
 from jaxbundle.block.observation_kinds import CONTROL, STATIONS, ObservationGroup, observation_group
 from jaxbundle.block.problems import BlockError
 from jaxbundle.solve.adjust import adjust
@@ -114,7 +114,7 @@ def test_minimal_datum_is_chosen_and_named():
         "minimal", (*(("1_01", name) for name in ("X0", "Y0", "Z0", "omega", "phi", "kappa")), ("1_03", "X0"))
     )
     assert "image 1_01: X0, Y0, Z0, omega, phi, kappa; image 1_03: X0" in str(structure.datum)
-    assert structure.unknowns == block.structure.unknowns - 7
+    assert structure.n_unknowns == block.structure.n_unknowns - 7
     assert not structure.exterior_free[0].any() and not structure.exterior_free[2, 0]
     assert datum_defect(with_datum(block)).count == 0
     again = with_datum(with_datum(block))
@@ -185,7 +185,7 @@ def with_navigation(block: Block, *sizes: str) -> Block:
     indices = [[i, *levers, *chosen("shift", w, 3), *chosen("drift", w, 6)] for i, w in enumerate(owners)]
     times = np.array([float(name[2:]) for name in names])[:, None]
     group = observation_group(
-        GNSS, np.array(indices), np.asarray(stations.values), np.full((len(names), 3), 0.1), times
+        GNSS_STATIONS, np.array(indices), np.asarray(stations.values), np.full((len(names), 3), 0.1), times
     )
     structure = dataclasses.replace(block.structure, parameters=parameters)
     return dataclasses.replace(block, structure=structure, groups=(group,), parameters=jnp.zeros(len(parameters)))

@@ -23,7 +23,7 @@ OWNERS = (
     "image|ray|point|camera|tile|core|machine|block|group|kind|observation|process|strip|model|row|cause|step|device|"
     "photograph|joint|iteration|station|chunk|partial|component|call|solve|class"
 )
-NO = r"(?<!there )\b(is|are|was|were) no"
+NO = r"(?<!there\s)\b(is|are|was|were) no"
 BANNED = {
     rf"\b({COUNTED}) an? ({OWNERS})\b(?! (of|is|has|that|to))": "one row per image",
     rf"{NO} (finite|positive|number|folder|file|camera|image|block|rotation|checkpoint|module|option)\b": (

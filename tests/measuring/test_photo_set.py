@@ -7,7 +7,7 @@ from scipy import ndimage
 
 import jaxbundle as jb
 from jaxbundle.imagery.exif import Station
-from jaxbundle.measuring.measured_folder import write_measured
+from jaxbundle.measuring.measured_folder import StationSigmas, write_measured
 from jaxbundle.measuring.measured_rays import MeasuredRays
 from jaxbundle.measuring.measurement import CameraGiven, MeasureOptions, measure
 from jaxbundle.measuring.photo_set import photo_set, read_positions
@@ -99,9 +99,13 @@ def test_block_folder(photos, tmp_path):
     xy = np.arange(10.0).reshape(5, 2)
     rays = MeasuredRays(image, point, xy, np.full((5, 2), 0.1), {})
     stations = np.array([[0.0, 0, 100], [10, 0, 100], [np.nan] * 3])
-    write_measured(tmp_path / "block", photo_set(photos, None, GIVEN), rays, stations, (3.0, 6.0))
+    write_measured(tmp_path / "block", photo_set(photos, None, GIVEN), rays, stations, StationSigmas())
     tables = {path.name: path.read_text().splitlines() for path in (tmp_path / "block").iterdir()}
     assert tables["images.csv"][:2] == ["image,camera,X0,Y0,Z0,omega,phi,kappa", "a.png,camera,,,,,,"]
     assert tables["rays.csv"][5] == "c.png,2,8.0,9.0,0.1,0.1"
-    assert tables["stations.csv"][1:] == ["a.png,0.0,0.0,100.0,3.0,3.0,6.0", "b.png,10.0,0.0,100.0,3.0,3.0,6.0"]
+    assert tables["stations.csv"][1:] == [
+        "a.png,0.0,0.0,100.0,1.0,1.0,1.5,receiver",
+        "b.png,10.0,0.0,100.0,1.0,1.0,1.5,receiver",
+    ]
     assert "priors = { principal_distance = 9.0 }" in tables["block.toml"]
+    assert "priors = { shift = 5.0 }" in tables["block.toml"]

@@ -62,7 +62,7 @@ def test_similar_blocks_share_their_programs(batch, monkeypatch):
 def test_table(batch):
     one, failed, two = batch.table()
     assert one.status == two.status == "converged" and one.problem == two.problem == ""
-    assert (one.observations, one.unknowns) == (batch.adjustments[0].observations, batch.adjustments[0].unknowns)
+    assert (one.observations, one.unknowns) == (batch.adjustments[0].n_observations, batch.adjustments[0].n_unknowns)
     assert one.redundancy == batch.adjustments[0].redundancy and one.iterations > 1
     assert one.sigma0 == pytest.approx(float(batch.adjustments[0].sigma0))
     assert failed[:2] == ("broken", "bad input") and failed[2:7] == (None,) * 5

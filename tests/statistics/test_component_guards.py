@@ -20,9 +20,9 @@ from jaxbundle.statistics.subsets import (
     all_control,
     control_point,
     control_rays,
+    default_groups,
     image_coordinates,
     observations_of_kind,
-    three_groups,
     tie_rays,
 )
 
@@ -125,7 +125,7 @@ def test_refusals(block):
     with pytest.raises(ValueError, match="choose one"):
         variance_components(block, robust=Huber())
     with pytest.raises(ValueError, match="shares observations with a group before"):
-        variance_components(block, [*three_groups(block), all_control(block)])
+        variance_components(block, [*default_groups(block), all_control(block)])
     with pytest.raises(ValueError, match="nothing has no observations"):
         variance_components(block, [Subset("nothing", tuple(m & False for m in all_control(block).masks))])
     with pytest.raises(ValueError, match="adjustment 1 stopped at the maximum number"):

@@ -33,13 +33,13 @@ def test_every_kind_of_observation(name):
         first += mask.size
     cofactors = np.diag(dense_cofactors(unknowns, observations))
     np.testing.assert_allclose(np.sum(system.inverse**2, 1), cofactors, rtol=1e-7)
-    assert len(system.unknown_names) == block.structure.unknowns == sum(mask.sum() for mask in masks(observations))
+    assert len(system.unknown_names) == block.structure.n_unknowns == sum(mask.sum() for mask in masks(observations))
 
 
 def test_tables_and_names():
     block = case("correlated")
     system = block_system(block)
-    tables = system.unknown_tables(np.arange(float(block.structure.unknowns)))
+    tables = system.unknown_tables(np.arange(float(block.structure.n_unknowns)))
     names = system.unknown_names
     image = block.structure.image_names[1]
     assert names[int(tables.exterior[1, 4])] == f"phi of image {image}"

@@ -138,7 +138,7 @@ def test_residual_test_is_the_fall_of_vtpv(adjustment, linear, number):
     left = linear.vtpv(~rows)
     assert test.statistic == pytest.approx(linear.vtpv(np.ones(len(rows), bool)) - left, rel=1e-6)
     rank = np.linalg.matrix_rank(linear.design[~rows] / np.linalg.norm(linear.design, axis=0), tol=1e-9)
-    others = adjustment.observations - subset.count
+    others = adjustment.n_observations - subset.count
     assert test.degrees == adjustment.redundancy - (others - rank)
     assert test.passed
 

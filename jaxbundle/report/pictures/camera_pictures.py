@@ -42,7 +42,7 @@ def distortion(figures: Figures, camera: int) -> Distortion | None:
     if not names or length is None:
         return None
     left, low, right, high = image_format(figures, camera)
-    size = values[place["pixel_size"]] if one.metric and "pixel_size" in place else 1.0
+    size = values[place["pixel_size"]] if one.principal_distance_in_mm and "pixel_size" in place else 1.0
     radius = np.linspace(0.0, 0.5 * np.hypot(right - left, high - low) * size, RADII)
     relative = names[0] in RELATIVE
     scale = values[place[length]] if relative else 1.0
