@@ -47,7 +47,7 @@ BANNED = {
     r"\bmake no matter\b|\bno matter of\b|\bby heart\b": "plain words",
     r"\bthe textbook's\b|\bthe text 00\d\b(?!\")": "a key of the bibliography page",
     r"\bkept (matrix|unknowns|points|rays)\b|\bpool of blocks\b|\bthe pool\b": "reduced normal equations",
-    r"\b(?:MOST|LEAST|LARGEST)_[A-Z]+\b": "MAX_..., MIN_...",
+    r"(?-i:\b(?:MOST|LEAST|LARGEST)_[A-Z]+\b)": "MAX_..., MIN_...",
     r"\bsession\b|\bworking paper\b|\bissue \d": "the project speaks of itself alone",
 }
 IN_CODE = {
