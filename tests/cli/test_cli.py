@@ -367,16 +367,16 @@ def test_phases_and_the_time_left_on_a_terminal(monkeypatch, capsys):
     clock = iter(range(0, 10_000, 20))
     monkeypatch.setattr(progress.time, "perf_counter", lambda: float(next(clock)))
     lines = ProgressLines()
-    lines.rule = AngleRule()
+    lines.rule, told = AngleRule(), []
     with lines.phase("adjusting"):
         for phase in ("planning", "compiling", "iterating"):
             lines.begins(phase)
         for k in range(1, 5):
             lines.iteration(Progress(k, 12.5, 1e-4, 10.0**-k, True, 1.5))
-            status = str(lines._status.status)
+            told.append(str(lines._status and lines._status.status))
         lines.begins("standard deviations")
     err = capsys.readouterr().err
-    assert status == "iterating, about 80 s left (4 iterations of 20.0 s), then standard deviations"
+    assert told[-1] == "iterating, about 80 s left (4 iterations of 20.0 s), then standard deviations"
     for phase in ("planning", "compiling", "iterating", "standard deviations"):
         assert f"{phase}: " in err
 
