@@ -41,7 +41,7 @@ class Format(NamedTuple):
     read: Reader | None
     write: Writer | None
     suffix: str = ""
-    """Suffix of the file that `convert` writes in this format; "" for a folder. The name of the output does not choose a
+    """Suffix of the file that `convert` writes in this format; "" for a folder. The name of the output chooses no
     format whose suffix has two points."""
 
 
