@@ -1,16 +1,16 @@
-"""A result as a notebook shows it: a small table, and what was found."""
+"""A result for a notebook: a small table and the findings."""
 
 import html
 from collections.abc import Iterable, Sequence
 
 from jaxbundle.block.findings import Finding
 
-SHOWN = 12  # findings; the others are counted
-SHOWN_ROWS = 30
+SHOWN = 12  # maximum number of findings; the others are counted
+SHOWN_ROWS = 30  # rows of a table; the others are counted
 
 
 def result_html(title: str, rows: Iterable[tuple[str, str]], findings: tuple[Finding, ...]) -> str:
-    """A heading, facts below each other, and findings; without scripts and styles."""
+    """HTML with a heading, a list of facts, and findings; without scripts and styles."""
     facts = "".join(
         f"<tr><th align='left'>{html.escape(label)}</th><td align='left'>{html.escape(words)}</td></tr>"
         for label, words in rows

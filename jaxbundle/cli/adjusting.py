@@ -55,8 +55,11 @@ class Wanted(NamedTuple):
 
 
 class Outcome(NamedTuple):
-    """Outcome of the adjustment of a block: the adjustment, its findings, the folder of the results, and the problem
-    of the target folder, if there is one."""
+    """Outcome of the adjustment of a block.
+
+    It has the adjustment, its findings, the folder of the results, and the problem of the target folder, if there is
+    one.
+    """
 
     adjustment: Adjustment
     found: tuple[Finding, ...]

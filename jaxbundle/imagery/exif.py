@@ -1,4 +1,4 @@
-"""What photographs say of themselves: camera, size, focal length and position in their EXIF data."""
+"""Reading EXIF data of photographs: camera, size, focal length and position."""
 
 import math
 from pathlib import Path
@@ -21,18 +21,18 @@ class Station(NamedTuple):
     longitude: float
     """deg, east positive."""
     altitude: float
-    """m, as the receiver gives it; NaN where it gives none."""
+    """m, as recorded by the receiver; NaN if not recorded."""
 
 
 class ExifData(NamedTuple):
-    """Empty text and None stand for what is not given."""
+    """EXIF data of a photograph; empty text and None mean missing values."""
 
     camera: str = ""
     """Maker and model."""
     focal: float | None = None
     """mm."""
     focal_35: float | None = None
-    """mm, of the 35 mm equivalent."""
+    """mm, for the 35 mm equivalent."""
     station: Station | None = None
     time: str = ""
     size: tuple[int, int] | None = None
@@ -40,7 +40,7 @@ class ExifData(NamedTuple):
 
 
 def exif_of(path: Path) -> ExifData:
-    """EXIF data of a JPEG, PNG or TIFF file; empty where it has none."""
+    """EXIF data of a JPEG, PNG or TIFF file; empty without EXIF data."""
     module = required("PIL.Image")
     try:
         with of_any_size(module), module.open(path) as image:
@@ -76,5 +76,5 @@ def _station(gps: dict) -> Station | None:
     station = Station(
         -latitude if south else latitude, -longitude if west else longitude, -altitude if below else altitude
     )
-    empty = station.latitude == station.longitude == 0  # a receiver without a fix
+    empty = station.latitude == station.longitude == 0  # a receiver without a position fix
     return station if not empty and abs(station.latitude) <= 90 and abs(station.longitude) <= 180 else None

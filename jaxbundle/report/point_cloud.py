@@ -71,7 +71,7 @@ def format_corners(figures: Figures, camera: int) -> Float[np.ndarray, "4 3"]:
     one, values = figures.structure.cameras[camera], figures.interior[camera]
     element = dict(zip(one.model.elements, values.tolist(), strict=False))
     left, low, right, high = image_format(figures, camera)
-    size = element.get("pixel_size", 1.0) if one.metric else 1.0
+    size = element.get("pixel_size", 1.0) if one.principal_distance_in_mm else 1.0
     up = -1.0 if one.image_unit == "px" else 1.0
     c = element.get("principal_distance", element.get("f", 1.0)) or 1.0
     xy = np.array([(left, low), (right, low), (right, high), (left, high)])

@@ -31,7 +31,7 @@ from jaxbundle.statistics.covariance import covariance_of
 from jaxbundle.statistics.reliability_tables import level_of_one
 
 LEVEL = 0.05
-MOST_FULL = 400  # common points whose full covariance is computed: 1200 x 1200 numbers, one solution for each row
+MAX_FULL = 400  # common points whose full covariance is computed: 1200 x 1200 numbers, one solution for each row
 LEAST_DATUM = 4  # points: fewer leave nothing to test beside the seven parameters of a similarity
 RANK = 1e-10  # of the largest eigenvalue: smaller ones are zero
 Datum = Literal["common", "similarity"]
@@ -134,7 +134,7 @@ def survey_congruency(
     names, rows = _common(first, second)
     kinds = {one.block.structure.datum.kind for one in (first, second)}
     chosen: Datum = datum or ("common" if kinds == {"control"} else "similarity")
-    full = len(names) <= MOST_FULL
+    full = len(names) <= MAX_FULL
     both = _Both(
         *(np.asarray(one.block.object_points)[k] for one, k in zip((first, second), rows, strict=True)),
         *(_cofactors(one, k, full) for one, k in zip((first, second), rows, strict=True)),

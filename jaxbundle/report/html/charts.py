@@ -8,7 +8,7 @@ from jaxbundle.report.html.markup import tag, text, titled
 from jaxbundle.report.html.raster import signed
 from jaxbundle.report.pictures.camera_pictures import Correlations, Distortion
 from jaxbundle.report.pictures.known import known, limits
-from jaxbundle.report.pictures.point_pictures import MOST_RAYS, RayCounts
+from jaxbundle.report.pictures.point_pictures import MAX_RAYS, RayCounts
 from jaxbundle.report.pictures.ray_pictures import Histogram
 from jaxbundle.report.section import short
 from jaxbundle.solve.history import History
@@ -78,7 +78,7 @@ def bar_chart(numbers: np.ndarray, labels: list[str], axis: tuple[str, str], nam
 def counts_chart(counts: RayCounts, name: str) -> str:
     """Number of points by number of rays."""
     shown = np.arange(len(counts.rays)) < max(np.flatnonzero(counts.points).max(initial=0) + 1, 4)
-    labels = [f"{k}" if k < MOST_RAYS else f"{k}+" for k in counts.rays[shown].tolist()]
+    labels = [f"{k}" if k < MAX_RAYS else f"{k}+" for k in counts.rays[shown].tolist()]
     return bar_chart(counts.points[shown].astype(float), labels, ("rays of a point", "points"), name)
 
 

@@ -15,10 +15,10 @@ from jaxbundle.report.pictures.point_pictures import PrecisionMap
 from jaxbundle.report.pictures.ray_pictures import Field
 from jaxbundle.report.pictures.vector_pictures import Vectors
 
-MOST_MARKS = 1500  # maximum number of objects of one type in a static picture; the script draws all
-MOST_LABELS = 80  # maximum number of names beside points
+MAX_MARKS = 1500  # maximum number of objects of one type in a static picture; the script draws all
+MAX_LABELS = 80  # maximum number of names beside points
 LETTERS, LETTER, LINE = 12, 6.6, 12.0  # maximum length of a name, width of a letter, height of a line in the picture
-MOST_TITLED = 2000  # maximum number of lines that show their names; more lines are drawn as one path
+MAX_TITLED = 2000  # maximum number of lines that show their names; more lines are drawn as one path
 
 
 def bounds_of(plan: Plan) -> tuple[float, float, float, float]:
@@ -28,7 +28,7 @@ def bounds_of(plan: Plan) -> tuple[float, float, float, float]:
     return west, south, east, north
 
 
-def thinned(count: int, most: int = MOST_MARKS) -> np.ndarray:
+def thinned(count: int, most: int = MAX_MARKS) -> np.ndarray:
     """Evenly spread indices, up to a maximum number."""
     if count <= most:
         return np.arange(count)
@@ -98,7 +98,7 @@ def uncrowded(axes: Axes, xy: np.ndarray, names: Sequence[str]) -> set[int]:
         if not inside.any():
             boxes = np.append(boxes, [[u, v, u + width, v + LINE]], 0)
             free.add(k)
-        if len(free) == MOST_LABELS:
+        if len(free) == MAX_LABELS:
             break
     return free
 
@@ -179,7 +179,7 @@ def connection_drawing(plan: Plan, found: Connections, names: tuple[str, ...], u
     for (a, b), number in zip(found.pairs[drawn].tolist(), found.common[drawn].tolist(), strict=True):
         kind = "weak" if number < WEAK else f"w{min(4, int(5 * number / most))}"
         path = f"M{u[a]:.1f} {v[a]:.1f}l{u[b] - u[a]:.1f} {v[b] - v[a]:.1f}"
-        if len(found.common) > MOST_TITLED:
+        if len(found.common) > MAX_TITLED:
             together.setdefault(kind, []).append(path)
         else:
             words = titled(f"{names[a]} - {names[b]}: {number} common points")

@@ -14,8 +14,8 @@ from jaxbundle.report.pictures.known import known, limits
 from jaxbundle.report.pictures.plan_picture import CHECK_POINT, TIE, Plan
 from jaxbundle.report.pictures.vector_pictures import rows_of
 
-MOST_TIES = 250_000  # maximum number of points for the script; evenly spread if there are more
-MOST_NAMED = 10_000  # maximum number of points with names in the page
+MAX_TIES = 250_000  # maximum number of points for the script; evenly spread if there are more
+MAX_NAMED = 10_000  # maximum number of points with names in the page
 GRID = 65535
 ROWS_OF_GRID = 256  # the points are packed in strips of so many steps in Y
 SHADES = 63  # of precision: an eye cannot tell neighbours apart
@@ -27,7 +27,7 @@ def scene(figures: Figures, plan: Plan) -> tuple[str, str]:
     """The data as JSON for a page, and a sentence about the number of points in it."""
     finite = np.isfinite(plan.points).all(1)
     tie = np.flatnonzero(finite & (plan.role == TIE))
-    shown = tie[thinned(len(tie), MOST_TIES)]
+    shown = tie[thinned(len(tie), MAX_TIES)]
     grid, bounds_of_grid = _grid(plan.points[shown])
     order = np.lexsort((grid[:, 0], grid[:, 1] // ROWS_OF_GRID))
     shown, grid = shown[order], grid[order]
@@ -63,7 +63,7 @@ def scene(figures: Figures, plan: Plan) -> tuple[str, str]:
         ],
         "ties": _packed(grid, bounds_of_grid, known(figures.points_sd[shown])),
     }
-    if len(shown) <= MOST_NAMED:
+    if len(shown) <= MAX_NAMED:
         data["names"] = [names[p] for p in shown.tolist()]
         data["rows"] = shown.tolist()
     words = f"{len(shown)} of {len(tie)} tie points are in this plan"
@@ -85,7 +85,7 @@ def _grid(xyz: Float[np.ndarray, "point 3"]) -> tuple[Int[np.ndarray, "point 3"]
     steps are the same in X, Y and Z: most blocks are flat, so that few heights differ."""
     bounds = np.array([limits(column, 0.0) for column in xyz.T])
     low, size = bounds[:, 0], bounds[:, 1] - bounds[:, 0]
-    if len(xyz) > MOST_NAMED:
+    if len(xyz) > MAX_NAMED:
         size = np.full(3, size.max())
     return np.round((xyz - low) / size * GRID).astype(int), np.stack([low, size])
 

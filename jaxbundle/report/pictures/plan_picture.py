@@ -13,8 +13,11 @@ DIRECTIONS = 12  # maximum number of corners of an outline
 
 
 class Plan(NamedTuple):
-    """Adjusted positions in the object system. `role`: tie, control or check for each point; `outlines`: for each
-    image the corners X, Y of the area of its measured points."""
+    """Adjusted positions in the object system.
+
+    `role`: tie, control or check for each point; `outlines`: for each image the corners X, Y of the area of its
+    measured points.
+    """
 
     stations: Float[np.ndarray, "image 3"]
     points: Float[np.ndarray, "point 3"]

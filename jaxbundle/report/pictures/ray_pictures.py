@@ -66,8 +66,10 @@ def residual_histogram(figures: Figures) -> Histogram:
 
 
 def normal_quantiles(figures: Figures) -> Float[np.ndarray, "quantile 2"]:
-    """Quantiles of the normal distribution, and of all standardised residuals. The outermost quantile of each tail is
-    the extreme residual."""
+    """Quantiles of the normal distribution, and of all standardised residuals.
+
+    The outermost quantile of each tail is the extreme residual.
+    """
     values = standardised(figures)
     values = np.sort(values[np.isfinite(values)])
     if len(values) < 2:

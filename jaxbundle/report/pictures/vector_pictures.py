@@ -23,8 +23,11 @@ CE90, LE90 = 1.5175, 1.6449  # ratios of CE90 and LE90 to the rms of a normal er
 
 
 class Vectors(NamedTuple):
-    """Points with differences. `expected`: sigma of control, predicted sd of check points.
-    `ratio`: |w| / sigma0 of control, t of check points. NaN where not observed or not known."""
+    """Points with differences.
+
+    `expected`: sigma of control, predicted sd of check points. `ratio`: |w| / sigma0 of control, t of check points. NaN
+    where not observed or not known.
+    """
 
     names: tuple[str, ...]
     position: Float[np.ndarray, "point 3"]

@@ -113,7 +113,7 @@ def test_control_that_does_not_fit_is_told(shared_data, tmp_path):
     failed = [finding for finding in block.structure.findings if finding.severity is Severity.FAILED]
     assert failed and failed[0].kind is Kind.NOT_USED
     assert "2 rays of control are on 1 images that are not in the block, such as nowhere.jpg" in failed[0].words
-    with pytest.raises(BlockError, match="tables beside it are not read; put control.csv and stations.csv into"):
+    with pytest.raises(BlockError, match="additional tables are not read; put control.csv and stations.csv into"):
         read(shared_data / "strasbourg-s4-tie", sources=Sources(control=tmp_path / "gcp_list.txt"))
 
 
