@@ -29,7 +29,7 @@ from jaxbundle.io.formats.foreign_block import (
     ReadOptions,
     element,
 )
-from jaxbundle.io.formats.format_table import FORMATS, read_format
+from jaxbundle.io.formats.format_table import FORMATS, read_format, recognised
 from jaxbundle.io.formats.intersected import with_intersections
 from jaxbundle.io.formats.misfit import ray_residuals
 from jaxbundle.io.formats.written import foreign_block
