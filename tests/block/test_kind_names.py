@@ -38,8 +38,8 @@ def test_no_two_kinds_share_a_name():
 
 
 def test_stations_with_and_without_systematic_errors_are_two_kinds_of_one_table():
-    assert STATIONS.name != GNSS.name
-    assert STATIONS.table == GNSS.table == "stations"
+    assert STATIONS.name != GNSS_STATIONS.name
+    assert STATIONS.table == GNSS_STATIONS.table == "stations"
     assert CONTROL.table == "control"
 
 
@@ -48,8 +48,8 @@ def test_a_subset_has_one_of_them():
     plain, gnss = (observations_of_kind(block, kind.name) for kind in (STATIONS, GNSS_STATIONS))
     number = {group.structure.kind: k for k, group in enumerate(block.groups, 1)}
     assert plain.count == 3 and gnss.count > 3
-    assert plain.masks[number[STATIONS]].all() and not plain.masks[number[GNSS]].any()
-    assert gnss.masks[number[GNSS]].any() and not gnss.masks[number[STATIONS]].any()
+    assert plain.masks[number[STATIONS]].all() and not plain.masks[number[GNSS_STATIONS]].any()
+    assert gnss.masks[number[GNSS_STATIONS]].any() and not gnss.masks[number[STATIONS]].any()
 
 
 def _with_plain_station(block: Block) -> Block:
