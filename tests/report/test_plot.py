@@ -156,7 +156,7 @@ def test_iterations_and_comparison(result, report, ax):
 
 def test_new_axes_and_wrong_arguments(result):
     ax = jb.plot.iterations(result)
-    assert ax.get_ylabel()
+    assert ax.get_xlabel() == "iteration"
     pyplot.close("all")
     wrong: Any = "result"
     with pytest.raises(TypeError, match="plot.images takes"):
