@@ -40,6 +40,7 @@ ROUNDS = 6  # resections of one round give points to those of the next
 SINGLE = 20  # worst images that are tried as the only wrong one
 SAME = 1e-9  # of a coordinate: rounding
 FAR = 20.0  # depths of the other points, at which a point is put whose rays do not meet
+DIVERGING = 6.0  # times the median angle off (four standard deviations): rays that fit no point in front, however far
 
 
 class _Start(NamedTuple):
@@ -235,7 +236,8 @@ def _with_points(
     sight: Sight, block: Block, suspects: Bool[np.ndarray, " image"]
 ) -> tuple[Float[np.ndarray, "point 3"], Bool[np.ndarray, " point"]]:
     """Coordinates with absurd ones replaced, of control by what is observed; and the points whose rays do not meet, far
-    away in front."""
+    away in front, unless they diverge by more than other rays are off: in front such a point would run to infinity and
+    bend its images (`robust_intersection.apart`)."""
     count = len(sight.points)
     rays = np.bincount(sight.point, minlength=count)
     q = relative_off(sight, sight.points)
@@ -255,7 +257,9 @@ def _with_points(
     # coordinates that the user gave stay: only those that were intersected behind the cameras are no information
     own = np.linalg.norm(sight.points - meet.points, axis=1) <= SAME * np.linalg.norm(meet.points, axis=1)
     hopeless = absurd & ~better & ~meet.in_front & own & ~sight.is_known
-    return np.where(hopeless[:, None], _far(sight), points), hopeless
+    far = _far(sight)
+    hopeless &= medians(relative_off(sight, far), sight.point, count) <= DIVERGING * np.median(q)
+    return np.where(hopeless[:, None], far, points), hopeless
 
 
 def _far(sight: Sight) -> Float[np.ndarray, "point 3"]:

@@ -1,6 +1,7 @@
 """What a start from nothing found about the block, as findings."""
 
 from collections.abc import Sequence
+from typing import NamedTuple
 
 import numpy as np
 from jaxtyping import Bool
@@ -12,20 +13,27 @@ from jaxbundle.orientation.approximation import Approximation, OrientedPart
 from jaxbundle.orientation.to_object import Basis
 
 
+class Doubts(NamedTuple):
+    """What of a block does not agree with the rest of it."""
+
+    rays: Bool[np.ndarray, " ray"]
+    control: Bool[np.ndarray, " point"]
+    """Control points that are not near their places."""
+    behind: Bool[np.ndarray, " point"]
+    """Points whose rays meet behind their images."""
+
+
 def start_findings(
-    block: Block,
-    parts: Sequence[OrientedPart],
-    loose: Sequence[str],
-    suspects: Bool[np.ndarray, " ray"],
-    refused: Bool[np.ndarray, " point"],
+    block: Block, parts: Sequence[OrientedPart], loose: Sequence[str], doubts: Doubts
 ) -> tuple[Finding, ...]:
     """Findings in the order of a report."""
     found = [
         *_loose(loose),
         *_parts(parts),
         *_assumption(parts),
-        *_refused(block, refused),
-        *_suspects(block, suspects),
+        *_refused(block, doubts.control),
+        *_suspects(block, doubts.rays),
+        *_behind(block, doubts.behind),
     ]
     return in_order(found)
 
@@ -83,6 +91,16 @@ def _suspects(block: Block, suspects: Bool[np.ndarray, " ray"]) -> list[Finding]
     cure = "measure again, or adjust with robust weights; the start leaves them out, the adjustment takes them"
     subjects = tuple(Subject("rays", pair) for pair in names)
     return [Finding(Kind.SUSPECT, what, cure, subjects, float(len(names)), "rays")]
+
+
+def _behind(block: Block, behind: Bool[np.ndarray, " point"]) -> list[Finding]:
+    names = [block.structure.point_names[k] for k in np.flatnonzero(behind)]
+    if not names:
+        return []
+    it = "it" if len(names) == 1 else "them"
+    what = f"the rays of {counted(len(names), 'point')} meet behind their images only: {named(names)}"
+    cure = f"measure {it} again or drop {it}; the adjustment starts with {it} where the rays meet"
+    return [Finding(Kind.SUSPECT, what, cure, tuple(Subject("points", (name,)) for name in names))]
 
 
 def found_orientations(found: Approximation) -> tuple[Finding, ...]:
