@@ -4,6 +4,7 @@ Both are adjusted by the engine of the bundle, with all its statistics.
 
     file            what stands there
     chains          which images follow each other along a strip
+    started         orientations that are not given, found from the rays
     formation       models of two photographs each, by relative orientation, with the errors of their points
     sensors         a model as a sensor: 7 unknowns and 3 residuals per point
     translated      control, stations and navigation data of photographs, said of models or strips

@@ -25,8 +25,8 @@ from jaxbundle.independent.photographs import Oriented, Within, oriented_angles,
 from jaxbundle.independent.propagation import Propagated, model_errors, propagated
 from jaxbundle.independent.sensor_block import SensorBlock
 from jaxbundle.independent.sensors import unwhitened
+from jaxbundle.independent.started import started
 from jaxbundle.numerics.precision import require_float64
-from jaxbundle.orientation.intersection import intersect
 from jaxbundle.solve.adjust import Progress, adjust
 from jaxbundle.solve.adjustment import Adjustment
 from jaxbundle.solve.options import Choices, Options
@@ -82,7 +82,8 @@ def adjust_models(
     """Adjusts a block by the method of independent models.
 
     Args:
-        block: photographs with approximate orientations; its interior elements are fixed.
+        block: photographs; its interior elements are fixed. Orientations that are not given are found first, as by
+            `approximate`.
         options: as of `adjust`, and its keywords.
         pairs: names of the two images of each model; if None, images that follow each other in a strip.
         estimate_shared_errors: whether the errors that all points of a model share, those of its relative orientation,
@@ -103,7 +104,7 @@ def adjust_models(
     require_a(Block, block, "adjust_models")
     require_float64()
     require_photographs(block, "adjust_models")
-    block = intersect(block)
+    block, found = started(block)
     models, told = formed(block, pairs)
     of_models = model_block(block, models, estimate_shared_errors)
     adjustment = adjust(of_models.block, options, progress=progress, **choices)
@@ -116,7 +117,7 @@ def adjust_models(
         oriented,
         of_models.points,
         models,
-        in_order((*told, *of_models.findings, *fixed_interior(block))),
+        in_order((*found, *told, *of_models.findings, *fixed_interior(block))),
     )
 
 
