@@ -24,7 +24,7 @@ block, truth = simulation.block, simulation.truth
 
 # The new kind of observation: what it is called, what it touches, and its residual. Coordinates are centred while they
 # are adjusted; a constant called Z moves along, so the level counts from Z = 0 whatever the origin is.
-water_level = jb.ObservationKind(
+water_level = jb.observations.ObservationKind(
     name="water_level",
     components=("height",),
     touches=("point", "parameter"),
@@ -37,8 +37,8 @@ control = np.concatenate([group.structure.indices[:, 0] for group in block.group
 shore = np.setdiff1d(np.arange(len(block.structure.point_names)), control)[::6]
 members = np.stack([shore, np.zeros_like(shore)], 1)
 zero = np.zeros((len(shore), 1))
-group = jb.observation_group(water_level, members, values=zero, sigmas=zero + 0.05, constants=zero)
-structure = dataclasses.replace(block.structure, parameters=(jb.Parameter("level of the lake", "m"),))
+group = jb.observations.observation_group(water_level, members, values=zero, sigmas=zero + 0.05, constants=zero)
+structure = dataclasses.replace(block.structure, parameters=(jb.blocks.Parameter("level of the lake", "m"),))
 with_lake = dataclasses.replace(block, structure=structure, groups=(*block.groups, group))
 with_lake = eqx.tree_at(lambda b: b.parameters, with_lake, jnp.array([2.0]))  # approximate level
 

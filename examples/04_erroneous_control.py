@@ -12,8 +12,8 @@ import jaxbundle as jb
 from jaxbundle.block.residuals import observations_of, ray_residuals
 from jaxbundle.block.unknowns import unknowns_of
 from jaxbundle.geometry.rotation import ALPHA_OMEGA_KAPPA
-from jaxbundle.planning.simulate import exact_coordinates
-from jaxbundle.statistics.influence import control_influence
+from jaxbundle.planning.simulation import exact_coordinates
+from jaxbundle.statistics.control_errors import control_influence
 
 jax.config.update("jax_enable_x64", True)
 CONTROL = np.array([[-700, 700, 10.4], [700, 700, -10.7], [-700, -700, 74.5], [700, -700, 71.3]])
@@ -43,13 +43,20 @@ PRINTED = """
 def photo(control, weights, measured):
     """The photo at its true orientation; weights in 1 / m^2 beside 1 / mm^2 in the image, inf holds control."""
     k, none, sigmas = np.arange(4, dtype=np.int32), jnp.zeros((0, 3)), np.tile(SIGMA / np.sqrt(weights)[:, None], 3)
-    names = (jb.Camera("camera", jb.CAMERA_MODELS["none"], "mm"),), ("photo",), ("1", "2", "3", "4")
+    names = (jb.blocks.Camera("camera", jb.cameras.CAMERA_MODELS["none"], "mm"),), ("photo",), ("1", "2", "3", "4")
     incidences = np.zeros(1, np.int32), 0 * k, k, np.ones((1, 6), bool), np.zeros((1, 5), bool), sigmas > 0, k[:0]
-    structure = jb.Structure("photo", *names, *incidences, rotation_system=ALPHA_OMEGA_KAPPA)
-    exterior = jb.ExteriorOrientation(jnp.array([[0, 0, 750.0]]), jnp.radians(jnp.array([[1.38, 4.71, -2.80]])))
-    interior, rays = jb.InteriorOrientation(jnp.array([[75.0, 0, 0, 1, 1]])), jb.Rays(measured, jnp.full((4, 2), SIGMA))
-    groups = (jb.observation_group(jb.CONTROL, k[:, None], control, sigmas),) if sigmas.all() else ()
-    return jb.Block(structure, exterior, interior, jnp.array(control), rays, groups, jb.CheckPoints(none, none))
+    structure = jb.blocks.Structure("photo", *names, *incidences, rotation_system=ALPHA_OMEGA_KAPPA)
+    exterior = jb.blocks.ExteriorOrientation(jnp.array([[0, 0, 750.0]]), jnp.radians(jnp.array([[1.38, 4.71, -2.80]])))
+    interior, rays = (
+        jb.blocks.InteriorOrientation(jnp.array([[75.0, 0, 0, 1, 1]])),
+        jb.blocks.Rays(measured, jnp.full((4, 2), SIGMA)),
+    )
+    groups = (
+        (jb.observations.observation_group(jb.observations.CONTROL, k[:, None], control, sigmas),)
+        if sigmas.all()
+        else ()
+    )
+    return jb.Block(structure, exterior, interior, jnp.array(control), rays, groups, jb.blocks.CheckPoints(none, none))
 
 
 def computed(row, printed_weights):

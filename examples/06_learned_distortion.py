@@ -17,7 +17,7 @@ import numpy as np
 from scipy.optimize import minimize
 
 import jaxbundle as jb
-from jaxbundle.planning.simulate import exact_coordinates
+from jaxbundle.planning.simulation import exact_coordinates
 
 jax.config.update("jax_enable_x64", True)
 
@@ -43,7 +43,7 @@ def spline_camera(interior, vector, measured):
 # a simulated block gets the new camera, true numbers, and rays as that camera sees them
 rng = np.random.default_rng(2)
 block = jb.simulate(strips=2, images=5, control_rows=3, control_sigma=0.02, check_points=0, seed=3).truth
-model = jb.CameraModel("spline", ("principal_distance", "x0", "y0", *names), spline_camera)
+model = jb.cameras.CameraModel("spline", ("principal_distance", "x0", "y0", *names), spline_camera)
 camera = dataclasses.replace(block.structure.cameras[0], model=model, image_unit="mm", metric=False)
 held = np.zeros((1, 3 + KNOTS), bool)
 block = dataclasses.replace(

@@ -14,7 +14,7 @@ import numpy as np
 from scipy.optimize import minimize
 
 import jaxbundle as jb
-from jaxbundle.planning.simulate import exact_coordinates
+from jaxbundle.planning.simulation import exact_coordinates
 
 jax.config.update("jax_enable_x64", True)
 

@@ -51,7 +51,7 @@ for image in result.images.values():
     )
     shapes.append(f'<rect x="{x - 5:.0f}" y="{y - 5:.0f}" width="10" height="10" fill="#06c"/>')
     shapes.append(f'<text x="{x + 9:.0f}" y="{y + 5:.0f}">image {image.name}</text>')
-ellipses = jb.error_ellipses(result)
+ellipses = jb.statistics.error_ellipses(result)
 for point, axes, directions in zip(result.points.values(), ellipses.semi_axes, ellipses.directions, strict=True):
     x, y = place(point.coordinates)
     turn = -np.degrees(np.arctan2(directions[1, 0], directions[0, 0]))

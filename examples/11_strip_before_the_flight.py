@@ -1,8 +1,8 @@
 """How do errors grow along a strip, and what does control at its ends do? Laws beside the covariance of a bundle.
 
-One strip of ten bases, three layouts of control, no measurement and no solve: jb.predict gives the standard deviation
-of every point. The laws of the textbook say what the free end has (n^1.5) and what tied ends leave in the middle: a
-quarter where the ends hold positions, an eighth where they hold scale and azimuth too.
+One strip of ten bases, three layouts of control, no measurement and no solve: jb.planning.predict gives the standard
+deviation of every point. The laws of the textbook say what the free end has (n^1.5) and what tied ends leave in the
+middle: a quarter where the ends hold positions, an eighth where they hold scale and azimuth too.
 
 Prints a table of the predicted standard deviations beside the laws.
 """
@@ -30,7 +30,7 @@ def along(*control: pl.ControlSet) -> np.ndarray:
     points = np.asarray(truth.object_points)
     axis = np.flatnonzero(np.abs(points[:, 1]) < 1)
     axis = axis[np.argsort(points[axis, 0])]
-    return np.asarray(jb.predict(truth).standard_deviations.object_points)[axis] / unit
+    return np.asarray(jb.planning.predict(truth).standard_deviations.object_points)[axis] / unit
 
 
 def points(places: list) -> tuple:

@@ -17,7 +17,7 @@ from jaxtyping import Array, Bool, Float, Int
 
 from jaxbundle.block.facade import Facade
 from jaxbundle.block.findings import Finding
-from jaxbundle.block.observations import ObservationGroup
+from jaxbundle.block.observation_kinds import ObservationGroup
 from jaxbundle.block.wording import counted
 from jaxbundle.camera.fiducials import InnerOrientation
 from jaxbundle.camera.model import CameraModel, mixture

@@ -8,7 +8,7 @@ import numpy as np
 from jaxbundle.block.block import Block, CheckPoints, Rays
 from jaxbundle.block.findings import Finding, in_order
 from jaxbundle.block.given import require_a
-from jaxbundle.block.observations import ObservationGroup
+from jaxbundle.block.observation_kinds import ObservationGroup
 from jaxbundle.numerics.host import on_device, on_host
 
 
@@ -22,7 +22,7 @@ def with_findings(block: Block, findings: Iterable[Finding]) -> Block:
 
 def with_interior_held(block: Block) -> Block:
     """The block with every interior element of its cameras held at its value."""
-    require_a(Block, block, "with_interior_held")
+    require_a(Block, block, "blocks.with_interior_held")
     structure = dataclasses.replace(block.structure, interior_free=np.zeros_like(block.structure.interior_free))
     return dataclasses.replace(block, structure=structure)
 

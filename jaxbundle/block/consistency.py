@@ -11,7 +11,7 @@ import jax.numpy as jnp
 import numpy as np
 
 from jaxbundle.block.block import Block, Camera, Datum, Parameter, Structure
-from jaxbundle.block.observations import GroupStructure, ObservationGroup, ObservationKind, kind_defect
+from jaxbundle.block.observation_kinds import GroupStructure, ObservationGroup, ObservationKind, kind_defect
 from jaxbundle.block.problems import BlockError, Problem
 from jaxbundle.camera.model import HELD, CameraModel, model_defect
 from jaxbundle.geometry.rotation import RotationSystem
@@ -41,7 +41,7 @@ def inconsistencies(block: Block) -> list[Problem]:
     """What does not fit together in a block; the values of its arrays take no part, and may be traced."""
     structure = block.structure
     if not isinstance(structure, Structure):
-        return [Problem(f"the structure is {_type(structure)}, not a Structure", "build a jb.Structure")]
+        return [Problem(f"the structure is {_type(structure)}, not a Structure", "build a jb.blocks.Structure")]
     known = structure in _CONSISTENT
     names = [] if known else [*_names(structure)] or [*_descriptions(structure)] or [*_models(structure)]
     if names:
@@ -223,7 +223,7 @@ def _model_problem(camera: Camera) -> Problem | None:
     if not isinstance(camera.model, CameraModel):
         return Problem(
             f"the model of camera {camera.name} is {_type(camera.model)}, not a CameraModel",
-            'take one of jb.CAMERA_MODELS, as jb.CAMERA_MODELS["brown"], or build a jb.CameraModel',
+            'take one of jb.cameras.CAMERA_MODELS, as CAMERA_MODELS["brown"], or build a jb.cameras.CameraModel',
             "cameras",
         )
     wrong = model_defect(camera.model)
@@ -267,13 +267,13 @@ def _groups(block: Block) -> Iterator[Problem]:
         return
     for number, group in enumerate(block.groups):
         if not isinstance(group, ObservationGroup):
-            yield Problem(f"group {number} is {_type(group)}", "build it with jb.observation_group(...)")
+            yield Problem(f"group {number} is {_type(group)}", "build it with jb.observations.observation_group(...)")
         elif not isinstance(group.structure, GroupStructure):
             yield Problem(f"the structure of group {number} is {_type(group.structure)}", "give a GroupStructure")
         elif not isinstance(group.structure.kind, ObservationKind):
             yield Problem(
                 f"the kind of group {number} is {_type(group.structure.kind)}",
-                "take one, as jb.CONTROL or jb.DISTANCES, or build a jb.ObservationKind",
+                "take one, as jb.observations.CONTROL, or build a jb.observations.ObservationKind",
             )
         else:
             found = [*_group_arrays(block.structure, group)]

@@ -35,7 +35,7 @@ def with_datum(block: Block) -> Block:
 
     Raises: BlockError where control exists but leaves a part of the datum undetermined.
     """
-    require_a(Block, block, "with_datum")
+    require_a(Block, block, "blocks.with_datum")
     structure = block.structure
     if structure.datum.kind in ("control", "minimal") or (structure.datum.kind == "inner" and structure.datum.held):
         return block

@@ -188,7 +188,7 @@ def null_space(block: Block) -> Float[np.ndarray, "column defect"]:
 
 def datum_defect(block: Block) -> DatumDefect:
     """What the control, the observed stations, the distances and the held elements leave undetermined."""
-    require_a(Block, block, "datum_defect")
+    require_a(Block, block, "blocks.datum_defect")
     directions = null_space(block)
     names = [parameter.name for parameter in block.structure.parameters]
     taking_part = np.abs(directions[7:]).max(1, initial=0.0) > RANK_TOLERANCE

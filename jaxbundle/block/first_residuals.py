@@ -12,9 +12,9 @@ from jaxtyping import Array, Float
 from jaxbundle.block.block import Block
 from jaxbundle.block.problems import Problem
 from jaxbundle.block.unknowns import unknowns_of
+from jaxbundle.camera.camera_models import named_model
 from jaxbundle.camera.collinearity import photo_vector
 from jaxbundle.camera.model import CameraModel
-from jaxbundle.camera.registry import named_model
 from jaxbundle.numerics.compilation import QUICKLY
 
 TRIED = 16  # rays of a camera: a model that is wrong is wrong for most of them

@@ -26,7 +26,7 @@ from functools import cache
 import jax
 import jax.numpy as jnp
 
-from jaxbundle.block.observations import ObservationKind
+from jaxbundle.block.observation_kinds import ObservationKind
 from jaxbundle.camera.collinearity import Vector, photo_vector
 from jaxbundle.geometry.rotation import Scalar
 

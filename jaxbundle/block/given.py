@@ -30,5 +30,6 @@ def require_photographs(block: Block, function: str) -> None:
     if not model.photographs:
         raise ValueError(
             f"{function} takes photographs only; the sensor {model.name!r} of this block gives {model.components}"
-            " residuals per point. jb.adjust, jb.reliability, jb.covariance_of and jb.error_ellipses take any sensor"
+            " residuals per point. jb.adjust, jb.covariance_of, jb.statistics.reliability and"
+            " jb.statistics.error_ellipses take any sensor"
         )

@@ -13,7 +13,7 @@ from jaxtyping import Bool, Float
 
 from jaxbundle.block.block import Block
 from jaxbundle.block.findings import Finding, Kind, Subject
-from jaxbundle.block.observations import ObservationGroup
+from jaxbundle.block.observation_kinds import ObservationGroup
 from jaxbundle.block.problems import Problem
 from jaxbundle.block.wording import RADIANS
 

@@ -8,7 +8,7 @@ All are parameters of the block: unknown, held, or with a prior of their own. t 
 """
 
 from jaxbundle.block.geodetic import wrapped
-from jaxbundle.block.observations import ObservationKind
+from jaxbundle.block.observation_kinds import ObservationKind
 from jaxbundle.camera.collinearity import Vector
 from jaxbundle.geometry import rotation
 from jaxbundle.geometry.rotation import ALPHA_OMEGA_KAPPA, OMEGA_PHI_KAPPA, Rotation, RotationSystem

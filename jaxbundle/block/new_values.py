@@ -9,7 +9,7 @@ import numpy as np
 from jaxtyping import Array
 
 from jaxbundle.block.named import UnknownNameError
-from jaxbundle.block.observations import ObservationGroup
+from jaxbundle.block.observation_kinds import ObservationGroup
 
 B = TypeVar("B", bound=eqx.Module)
 NAMED = {"point": "point_names", "image": "image_names"}  # what a row may be named by

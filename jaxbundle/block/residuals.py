@@ -12,7 +12,7 @@ import numpy as np
 from jaxtyping import Array, Bool, Float, Int
 
 from jaxbundle.block.block import Block
-from jaxbundle.block.observations import ObservationGroup, ObservationKind
+from jaxbundle.block.observation_kinds import ObservationGroup, ObservationKind
 from jaxbundle.block.unknowns import Unknowns, corrected_in_angles
 from jaxbundle.camera.collinearity import photo_vector
 from jaxbundle.camera.model import CameraModel

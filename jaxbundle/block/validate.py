@@ -15,7 +15,7 @@ from jaxbundle.block.problems import BlockError, Problem
 
 def validate(block: Block) -> list[Problem]:
     """Problems of a block whose values are concrete, in the order in which they are best cured."""
-    require_a(Block, block, "validate")
+    require_a(Block, block, "blocks.validate")
     wrong = inconsistencies(block)
     if wrong:
         return wrong  # nothing else can be looked at
@@ -76,7 +76,7 @@ def _unusable_values(block: Block) -> list[Problem]:
     return problems + [
         Problem(
             f"point {structure.point_names[p]} has no coordinates and its rays do not intersect",
-            "give it approximate coordinates, measure it on an image from elsewhere or drop it",
+            "give it approximate coordinates, measure it on an image from a different position or drop it",
             "points",
             int(p),
         )

@@ -1,1 +1,1 @@
-"""The command line."""
+"""The command line of jaxbundle, one module for each command."""

@@ -1,4 +1,4 @@
-"""`jaxbundle adjust`: a path in, summary and findings to standard output, a folder of results."""
+"""The command `jaxbundle adjust`: reads a path, prints summary and findings, and writes a folder of results."""
 
 import dataclasses
 import math
@@ -34,12 +34,12 @@ from jaxbundle.solve.adjust import Progress, adjust
 from jaxbundle.solve.adjustment import Adjustment
 from jaxbundle.solve.checkpoint import CheckpointError, ClusterError
 from jaxbundle.solve.options import Options
-from jaxbundle.solve.stopping import AbstractStoppingRule, AngleRule, PointRule, parallax_rule, unknown_rule
+from jaxbundle.solve.stopping_rules import AbstractStoppingRule, AngleRule, PointRule, parallax_rule, unknown_rule
 from jaxbundle.solve.weight_functions import WEIGHT_FUNCTIONS, AbstractWeightFunction
 
 
 class Wanted(NamedTuple):
-    """How to solve, as the user says it. `stop`, `limit` and `unknown` name a stopping rule, which needs the block."""
+    """Options of the adjustment. `stop`, `limit` and `unknown` define a stopping rule, which needs the block."""
 
     options: Options
     stop: str
@@ -55,24 +55,24 @@ class Wanted(NamedTuple):
 
 
 class Outcome(NamedTuple):
-    """What became of a block: its adjustment, what was found, the folder that its results are in, and what kept them
-    from the one that was wanted."""
+    """Outcome of the adjustment of a block: the adjustment, its findings, the folder of the results, and the problem
+    of the target folder, if there is one."""
 
     adjustment: Adjustment
     found: tuple[Finding, ...]
     folder: Path | None
     code: Code
     problem: str = ""
-    result: MethodAdjustment | None = None  # of models or strips
+    result: MethodAdjustment | None = None  # the adjustment of models or strips
 
     @property
     def block(self) -> Block:
-        """The adjusted block, of photographs for every method."""
+        """The adjusted block of photographs, for any method."""
         return self.adjustment.block if self.result is None else self.result.block
 
 
 def run(path: Path, out: Path | None, wanted: Wanted, stop: Interruption) -> int:
-    """Adjusts, writes and prints; the exit code. Of several processes the first one writes and prints."""
+    """Adjusts, writes and prints, and returns the exit code. In a cluster the first process writes and prints."""
     _require_exports(wanted.exports)
     form = form_of(wanted.write, wanted.to) if wanted.write else ""
     folder, first = out or Path(f"{path.resolve().stem}-adjusted"), is_first_process()
@@ -93,7 +93,7 @@ def run(path: Path, out: Path | None, wanted: Wanted, stop: Interruption) -> int
 
 
 def _require_exports(paths: tuple[Path, ...]) -> None:
-    """Raises typer.BadParameter or FileExistsError for files that could not be written after the work."""
+    """Raises typer.BadParameter or FileExistsError for files that could not be written after the adjustment."""
     for path in paths:
         if path.suffix.lower() not in EXPORTS:
             raise typer.BadParameter(f"--export {path} has no known suffix; known: {', '.join(EXPORTS)}")
@@ -112,7 +112,7 @@ def adjust_path(path: Path, folder: Path, wanted: Wanted, lines: ProgressLines, 
         made = made_now(shlex.join(["jaxbundle", *sys.argv[1:]]), input_files(path)) if is_first_process() else None
     block = with_interior_held(block) if wanted.hold_interior else block
     options, methods = dataclasses.replace(wanted.options, stop=stopping_rule(block, wanted)), wanted.methods
-    if is_first_process():  # before the work, not after it
+    if is_first_process():  # before the adjustment, not after it
         if methods.method == "bundle":
             require_place(folder, block, options.robust is not None)
         else:
@@ -132,7 +132,7 @@ def adjust_path(path: Path, folder: Path, wanted: Wanted, lines: ProgressLines, 
             adjustment = result.adjustment
     stop.finish()
     code = Code.ADJUSTED if adjustment.trustworthy else Code.NOT_TRUSTED
-    with lines.phase("judging"):  # by all processes alike, since it may adjust again
+    with lines.phase("judging"):  # in all processes, since it may adjust again
         outcome = _judged(Outcome(adjustment, adjustment.findings, folder, code, result=result), block)
     if not is_first_process():
         return outcome._replace(folder=None)
@@ -141,7 +141,7 @@ def adjust_path(path: Path, folder: Path, wanted: Wanted, lines: ProgressLines, 
 
 
 def _judged(outcome: Outcome, block: Block) -> Outcome:
-    """With all that is found; whatever goes wrong there, the adjustment itself is kept."""
+    """Adds all findings; any error here leaves the adjustment intact."""
     try:
         if outcome.result is not None:
             return outcome._replace(found=method_findings(outcome.result))
@@ -151,7 +151,7 @@ def _judged(outcome: Outcome, block: Block) -> Outcome:
 
 
 def _written(outcome: Outcome, made: Made | None) -> Outcome:
-    """Writes the results; if they cannot be written to their folder, to a temporary one."""
+    """Writes the results, to a temporary folder if their folder cannot be written."""
     assert outcome.folder is not None
     try:
         if outcome.result is None:
@@ -161,13 +161,15 @@ def _written(outcome: Outcome, made: Made | None) -> Outcome:
         return outcome
     except OSError as error:
         code, problem = Code.NOT_WRITTEN, str(error)
-    except Exception as error:  # of the report: the adjustment itself is there
+    except Exception as error:  # an error of the report: the adjustment itself is complete
         code, problem = Code.UNEXPECTED, told(error)[1]
     try:
         kept = rescue(outcome.adjustment, outcome.found)
     except OSError as error:
-        return outcome._replace(folder=None, code=code, problem=f"{problem}; nor is there another place: {error}")
-    return outcome._replace(folder=kept, code=code, problem=f"{problem}; the results are kept in {kept}")
+        return outcome._replace(
+            folder=None, code=code, problem=f"{problem}; a temporary folder cannot be written either: {error}"
+        )
+    return outcome._replace(folder=kept, code=code, problem=f"{problem}; the results were saved in {kept}")
 
 
 def _adjusted(
@@ -182,7 +184,7 @@ def _adjusted(
     except ValueError as error:
         if isinstance(error, BlockError) or options.engine == "block":
             raise
-        raise typer.BadParameter(str(error)) from error  # the second opinion takes small blocks only
+        raise typer.BadParameter(str(error)) from error  # the independent solver is for small blocks only
     except RuntimeError as error:
         if jax.process_count() == 1:
             raise
@@ -190,7 +192,7 @@ def _adjusted(
 
 
 def echo_result(adjustment: Adjustment, found: tuple[Finding, ...]) -> None:
-    """Summary and findings; those that forbid trust are in the summary already."""
+    """Prints summary and findings; the most severe findings are in the summary already."""
     typer.echo(adjustment.summary(found))
     for finding in found:
         if finding.severity is not Severity.FAILED:
@@ -198,13 +200,13 @@ def echo_result(adjustment: Adjustment, found: tuple[Finding, ...]) -> None:
 
 
 def weight_function(name: str | None, limit: float | None) -> AbstractWeightFunction | None:
-    """The weight function of these options; None for least squares.
+    """The weight function of the options; None for least squares.
 
-    Raises: typer.BadParameter for options that do not belong together.
+    Raises: typer.BadParameter for incompatible options.
     """
     if name is None:
         if limit is not None:
-            raise typer.BadParameter("--robust-limit belongs to --robust")
+            raise typer.BadParameter("--robust-limit requires --robust")
         return None
     if limit is not None and not 0 < limit < math.inf:
         raise typer.BadParameter(f"--robust-limit {limit} is not positive")
@@ -213,15 +215,15 @@ def weight_function(name: str | None, limit: float | None) -> AbstractWeightFunc
 
 
 def stopping_rule(block: Block, wanted: Wanted) -> AbstractStoppingRule:
-    """The rule of these options.
+    """The stopping rule of the options.
 
-    Raises: typer.BadParameter for options that do not belong together, or an unknown that is not in the block.
+    Raises: typer.BadParameter for incompatible options, or an unknown that is not in the block.
     """
     limit = wanted.limit
     if limit is not None and not limit > 0:
         raise typer.BadParameter(f"--limit {limit} is not positive")
     if wanted.unknown and wanted.stop != "unknown":
-        raise typer.BadParameter("--unknown belongs to --stop unknown")
+        raise typer.BadParameter("--unknown requires --stop unknown")
     if wanted.stop == "angle":
         return AngleRule() if limit is None else AngleRule(limit=limit)
     if limit is None:
@@ -239,5 +241,5 @@ def stopping_rule(block: Block, wanted: Wanted) -> AbstractStoppingRule:
 def _name_and_element(text: str) -> tuple[str, str]:
     name, colon, element = text.rpartition(":")
     if not colon:
-        raise typer.BadParameter(f"--unknown {text} is not NAME:ELEMENT, as 1_01:X0")
+        raise typer.BadParameter(f"--unknown {text} is not NAME:ELEMENT, such as 1_01:X0")
     return name, element

@@ -1,4 +1,4 @@
-"""`jaxbundle approximate`: a block in, the same block with approximate values out."""
+"""The command `jaxbundle approximate`: reads a block and writes it with approximate values."""
 
 from pathlib import Path
 
@@ -12,7 +12,7 @@ from jaxbundle.orientation.from_nothing import approximate
 
 
 def run(path: Path, out: Path | None, anew: bool) -> int:
-    """Finds approximate values, prints the steps and what was found, and writes a block folder; the exit code.
+    """Computes approximate values, prints steps and findings, writes a block folder, and returns the exit code.
 
     Raises: BlockError or OSError for bad input; FileExistsError where the output exists.
     """

@@ -1,4 +1,4 @@
-"""The options of a cluster: how the processes on its machines find each other."""
+"""The options of a cluster: how the processes on several machines connect."""
 
 from typing import NamedTuple
 
@@ -8,7 +8,7 @@ AUTOMATIC = "auto"
 
 
 class Cluster(NamedTuple):
-    """Address of the first process, number of processes and number of this one; "auto": the job's environment says."""
+    """Address of the first process, number of processes and of this one; "auto": from the environment of the job."""
 
     coordinator: str
     processes: int | None
@@ -16,23 +16,25 @@ class Cluster(NamedTuple):
 
 
 def cluster_of(coordinator: str | None, processes: int | None, process: int | None) -> Cluster | None:
-    """The cluster of these options; None for a process alone.
+    """The cluster of the options; None for a single process.
 
-    Raises: typer.BadParameter for options that do not belong together.
+    Raises: typer.BadParameter for incompatible options.
     """
     if coordinator is None:
         if processes is not None or process is not None:
-            raise typer.BadParameter("--processes and --process belong to --coordinator HOST:PORT")
+            raise typer.BadParameter("--processes and --process require --coordinator HOST:PORT")
         return None
     if coordinator == AUTOMATIC:
         if processes is not None or process is not None:
-            raise typer.BadParameter(f"--coordinator {AUTOMATIC} finds --processes and --process by itself; drop them")
+            raise typer.BadParameter(f"--coordinator {AUTOMATIC} determines --processes and --process; drop them")
         return Cluster(coordinator, None, None)
     host, _, port = coordinator.rpartition(":")
     if not host or not port.isdecimal():
-        raise typer.BadParameter(f"--coordinator {coordinator} is not HOST:PORT, as 10.0.0.1:4000, nor {AUTOMATIC}")
+        raise typer.BadParameter(
+            f"--coordinator {coordinator} is neither HOST:PORT, such as 10.0.0.1:4000, nor {AUTOMATIC}"
+        )
     if processes is None or process is None:
         raise typer.BadParameter("--coordinator HOST:PORT needs --processes N and --process I, from 0 to N - 1")
     if not 0 <= process < processes:
-        raise typer.BadParameter(f"--process {process} is not from 0 to {processes - 1}, as --processes says")
+        raise typer.BadParameter(f"--process {process} is not from 0 to {processes - 1}")
     return Cluster(coordinator, processes, process)

@@ -1,4 +1,4 @@
-"""Exit codes of the command line, and what is said of an error."""
+"""Exit codes of the command line, and the messages of errors."""
 
 import platform
 import sys
@@ -11,39 +11,39 @@ from jaxbundle.block.problems import BlockError
 from jaxbundle.imagery.extra import MissingExtraError
 from jaxbundle.imagery.image_problems import ImageError
 
-_NO_MEMORY = "RESOURCE_EXHAUSTED"  # as JAX says it
+_NO_MEMORY = "RESOURCE_EXHAUSTED"  # the words of JAX
 _LESS_MEMORY = (
     "not enough memory; try --no-precision, then --reduced pcg with it, fewer --jobs, or a machine with more memory"
 )
 
 
 class Code(IntEnum):
-    """How a command ends. Of several blocks the largest counts."""
+    """Exit codes of a command; for several blocks the maximum."""
 
     ADJUSTED = 0
     NOT_TRUSTED = 1
     BAD_INPUT = 2
     NOT_WRITTEN = 3
     UNEXPECTED = 4
-    INTERRUPTED = 130  # as shells have it for Ctrl-C
+    INTERRUPTED = 130  # the code of shells for Ctrl-C
 
 
 class BadInput(ValueError):
-    """What is given cannot be adjusted, told in a sentence."""
+    """Input that cannot be adjusted, with a message."""
 
 
 class LostProcess(RuntimeError):
-    """Another process of the cluster has ended; `error` is what JAX says of it."""
+    """Another process of the cluster has ended; `error` is the message of JAX."""
 
     def __init__(self, error: RuntimeError):
         super().__init__(
-            f"another process of the cluster was lost ({_first_line(error)}); see what it said, and start all of them"
-            " again (--checkpoint goes on from the last accepted step)"
+            f"another process of the cluster was lost ({_first_line(error)}); see its message, and start all processes"
+            " again (--checkpoint resumes from the last accepted step)"
         )
 
 
 def told(error: Exception) -> tuple[Code, str]:
-    """The exit code of an error, and the sentence that tells of it."""
+    """The exit code of an error, and its message."""
     if isinstance(error, BlockError | ImageError | MissingExtraError | OSError | BadInput | LostProcess):
         return Code.BAD_INPUT, str(error)
     if isinstance(error, MemoryError) or _NO_MEMORY in str(error):
@@ -52,7 +52,7 @@ def told(error: Exception) -> tuple[Code, str]:
 
 
 def unexpected(error: Exception) -> str:
-    """One sentence about an error of the program itself; the traceback is kept in a file."""
+    """The message of an internal error; the traceback is written to a file."""
     trace = "".join(traceback.format_exception(error))
     text = f"jaxbundle {version('jaxbundle')}, {platform.platform()}\n{sys.argv}\n\n{trace}"
     try:
@@ -65,7 +65,7 @@ def unexpected(error: Exception) -> str:
         sys.stderr.write(text)
         where = "the traceback above"
     what = f"{type(error).__name__}: {_first_line(error)}"
-    return f"an error of the program ({what}); please report it together with {where}"
+    return f"internal error ({what}); please report it together with {where}"
 
 
 def _first_line(error: Exception) -> str:

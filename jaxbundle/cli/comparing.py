@@ -1,4 +1,4 @@
-"""`jaxbundle compare`: two folders of results in, their differences to standard output, and as a page."""
+"""The command `jaxbundle compare`: reads two folders of results, prints their differences and writes a page."""
 
 import json
 from pathlib import Path
@@ -10,13 +10,13 @@ from jaxbundle.cli.codes import BadInput
 from jaxbundle.numerics.whole_files import write_whole
 from jaxbundle.report.comparison import compare_reports, congruency
 from jaxbundle.report.comparison_report import comparison_html, comparison_text
-from jaxbundle.report.folder import DATA
+from jaxbundle.report.result_folder import DATA
 
 
 def run(first: Path, second: Path, out: Path | None, surveys: bool, level: float) -> None:
     """Reads, compares, prints, and writes the page.
 
-    Raises: BadInput for folders that hold no results, or have nothing in common; OSError where the page cannot be
+    Raises: BadInput for folders without results, or without common names; OSError where the page cannot be
     written.
     """
     one, other = (result_data(folder) for folder in (first, second))
@@ -33,13 +33,13 @@ def run(first: Path, second: Path, out: Path | None, surveys: bool, level: float
 
 
 def result_data(folder: Path) -> dict[str, Any]:
-    """report.json of a folder of results.
+    """Reads report.json of a folder of results.
 
     Raises: BadInput where there is none, or it is damaged.
     """
     path = folder / DATA
     if not path.is_file():
-        raise BadInput(f"{folder} holds no {DATA}; give a folder that jaxbundle adjust has written")
+        raise BadInput(f"{folder} contains no {DATA}; give a folder that jaxbundle adjust has written")
     try:
         data = json.loads(path.read_text(encoding="utf-8"))
     except (ValueError, RecursionError) as error:

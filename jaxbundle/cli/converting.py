@@ -1,4 +1,4 @@
-"""`jaxbundle convert`: between the forms a block is kept in."""
+"""The command `jaxbundle convert`: converts a block between formats."""
 
 from pathlib import Path
 
@@ -9,9 +9,9 @@ from jaxbundle.io import Sources, read
 
 
 def run(path: Path, out: Path, to: str, sources: Sources) -> None:
-    """Reads a block, writes it in the form that `to` or the name of the output asks for, and says what is lost.
+    """Reads a block, writes it in the format of `to` or of the output name, and reports what is lost.
 
-    Raises: FileExistsError where the output exists; typer.BadParameter for an unknown form.
+    Raises: FileExistsError where the output exists; typer.BadParameter for an unknown format.
     """
     form = form_of(out, to)
     block = read(path, sources=sources)

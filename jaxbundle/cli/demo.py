@@ -1,4 +1,4 @@
-"""`jaxbundle demo`: blocks with known truth, adjusted, and how far the results are from the truth."""
+"""The command `jaxbundle demo`: adjusts simulated blocks and compares the results with the true values."""
 
 from pathlib import Path
 
@@ -11,7 +11,7 @@ from jaxbundle.cli.progress import ProgressLines
 from jaxbundle.diagnosis.adjusted import findings
 from jaxbundle.io import write_block_folder
 from jaxbundle.planning.flight import AerialCamera
-from jaxbundle.planning.simulate import Simulation, simulate
+from jaxbundle.planning.simulation import Simulation, simulate
 from jaxbundle.report.files import write_report
 from jaxbundle.report.text import aligned
 from jaxbundle.solve.adjust import adjust
@@ -29,7 +29,7 @@ DIGITAL_CAMERA = AerialCamera(
 
 
 def simulations() -> dict[str, Simulation]:
-    """A strip of a film camera between two rows of control, and a block with self-calibration of a digital one."""
+    """A strip of a film camera between two rows of control, and a block of a digital camera with self-calibration."""
     return {
         "strip": simulate(1, 8, control_sigma=0.05, seed=1),
         "block": simulate(
@@ -57,15 +57,15 @@ def run(out: Path) -> int:
         write_report(adjustment, out / f"{name}-adjusted", found)
         echo_result(adjustment, found)
         typer.echo(
-            "\n".join(["  Adjusted less true values, in standard deviations:", *errors(adjustment, simulation.truth)])
+            "\n".join(["  Adjusted - true values, in standard deviations:", *errors(adjustment, simulation.truth)])
         )
-        typer.echo(f"Results: {out / name}-adjusted, of the block in {out / name}\n")
+        typer.echo(f"Results: {out / name}-adjusted, from the block in {out / name}\n")
         trustworthy &= adjustment.trustworthy
     return 0 if trustworthy else 1
 
 
 def errors(adjustment: Adjustment, truth: Block) -> list[str]:
-    """True errors of all unknowns over their standard deviations, as lines of a table."""
+    """True errors of all unknowns divided by their standard deviations, as lines of a table."""
     found, sd = adjustment.block, adjustment.standard_deviations
     turned = np.asarray(found.exterior.angles - truth.exterior.angles)
     kinds = [

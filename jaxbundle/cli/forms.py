@@ -1,4 +1,4 @@
-"""Forms in which the command line writes a block: block folder, BAL, formats of other programs, maps and clouds."""
+"""Formats in which the command line writes a block: block folder, BAL, formats of other programs, maps and clouds."""
 
 from pathlib import Path
 
@@ -6,7 +6,7 @@ import typer
 
 from jaxbundle.block.block import Block
 from jaxbundle.io import export, write_bal, write_block_folder, write_format
-from jaxbundle.io.formats.registry import FORMATS, WRITTEN
+from jaxbundle.io.formats.format_table import FORMATS, WRITTEN
 from jaxbundle.io.results.export import EXPORTS
 
 BAL, FOLDER, SHOWN = "bal", "block-folder", "export"
@@ -14,9 +14,9 @@ BAL_SUFFIX = ".txt"
 
 
 def form_of(out: Path, to: str) -> str:
-    """The form that `to`, or else the name of the output, asks for.
+    """The format of `to`, or else of the name of the output.
 
-    Raises: FileExistsError where the output exists; typer.BadParameter for an unknown form.
+    Raises: FileExistsError where the output exists; typer.BadParameter for an unknown format.
     """
     if out.exists():
         raise FileExistsError(f"{out} exists; give another name")
@@ -33,7 +33,7 @@ def form_of(out: Path, to: str) -> str:
 
 
 def write_form(block: Block, out: Path, form: str) -> None:
-    """Writes a block and prints what the form cannot hold."""
+    """Writes a block and prints what the format cannot represent."""
     if form == BAL:
         write_bal(block, out)
     elif form == FOLDER:
@@ -42,4 +42,4 @@ def write_form(block: Block, out: Path, form: str) -> None:
         export(block, out)
     else:
         for words in write_format(block, out, form):
-            typer.echo(f"not held by {form}: {words}")
+            typer.echo(f"not written ({form} cannot represent it): {words}")

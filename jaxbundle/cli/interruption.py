@@ -1,9 +1,9 @@
-"""Ctrl-C and SIGTERM, answered at once.
+"""Immediate response to Ctrl-C and SIGTERM.
 
-Python runs its signal handlers between two of its own instructions, and JAX's compiler may take a minute for one. So a
-thread reads what the system's part of the handler writes: it says a word at once, and at the second signal it ends the
-process. What comes of the first one is a mark that is looked at after every iteration: an exception alone may be lost,
-as in a callback of the garbage collector.
+Python runs signal handlers between two of its instructions, and one call of JAX's compiler may take a minute. Therefore
+a thread reads the file descriptor to which the low-level handler writes. It prints a message immediately, and at the
+second signal it ends the process. The first signal sets a flag that is checked after each iteration: an exception alone
+may be lost, for example in a callback of the garbage collector.
 """
 
 import os
@@ -17,17 +17,17 @@ from typing import Any, Self
 from jaxbundle.cli.codes import Code
 
 _SIGNALS = signal.SIGINT, signal.SIGTERM
-_ONE = 0.5  # seconds: a terminal and a parent process may both pass on the same Ctrl-C
-_STOPPING = "stopping after this step; Ctrl-C again ends at once"
-_WRITING = "the results are being written; Ctrl-C again ends at once, without them"
+_ONE = 0.5  # seconds: a terminal and a parent process may both forward the same Ctrl-C
+_STOPPING = "stopping after this step; Ctrl-C again stops immediately"
+_WRITING = "the results are being written; Ctrl-C again stops immediately, without them"
 
 
 def _nothing() -> None:
-    """Nothing has to be ended first."""
+    """The default function before the process ends: nothing to do."""
 
 
 class Interruption:
-    """Hears signals while it is entered, in the main thread of a process.
+    """Context that handles signals in the main thread of a process.
 
     Before the first accepted iteration a signal raises KeyboardInterrupt; after it the iterations end, and their result
     is written.
@@ -44,7 +44,7 @@ class Interruption:
             self._read, self._write = os.pipe()
             os.set_blocking(self._write, False)
             Thread(target=self._answer, daemon=True).start()
-            # who starts a process in the background may have it ignore Ctrl-C
+            # a process that was started in the background may ignore Ctrl-C
             heard = [number for number in _SIGNALS if signal.getsignal(number) is not signal.SIG_IGN]
             self._wakeup = signal.set_wakeup_fd(self._write, warn_on_full_buffer=False)
             self._handlers = {number: signal.signal(number, self._hear) for number in heard}
@@ -58,7 +58,7 @@ class Interruption:
             os.close(self._write)  # ends the thread
 
     def begin(self) -> None:
-        """A block is begun: there is nothing yet to be kept.
+        """Marks the begin of a block, which has no results yet.
 
         Raises: KeyboardInterrupt where the user wants to stop.
         """
@@ -71,7 +71,7 @@ class Interruption:
             raise KeyboardInterrupt
 
     def step(self, accepted: bool) -> None:
-        """An iteration is done.
+        """Marks the end of an iteration.
 
         Raises: KeyboardInterrupt where the user wants to stop.
         """
@@ -79,7 +79,7 @@ class Interruption:
         self.check()
 
     def finish(self) -> None:
-        """The block is adjusted, and what follows is not to be interrupted any more."""
+        """Marks the end of the adjustment; the first signal no longer interrupts."""
         self._keeps, self._words = True, _WRITING
 
     def _hear(self, _number: int, _frame: FrameType | None) -> None:
@@ -104,8 +104,8 @@ class Interruption:
 
 
 def _say(words: str) -> None:
-    """To standard error, past Python's buffers and locks."""
+    """Writes to standard error without Python's buffers and locks."""
     try:
         os.write(2, f"\njaxbundle: {words}\n".encode())
     except OSError:
-        pass  # nobody listens
+        pass  # standard error is closed

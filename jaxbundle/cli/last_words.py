@@ -1,8 +1,8 @@
-"""The end of a process whose cluster is gone, in a sentence.
+"""Ending a process with a message when its cluster is lost.
 
-JAX ends a process that lost its coordinator from a thread of C++: it writes a line and a stack to standard error and
-aborts. No exception comes of it. So standard error is passed on by a thread of our own, which ends the process at that
-line.
+JAX ends a process that lost its coordinator from a thread in C++: it writes a line and a stack trace to standard error
+and aborts, without an exception. Therefore our own thread forwards standard error, and ends the process when it reads
+that line.
 """
 
 import os
@@ -12,15 +12,15 @@ from threading import Thread
 from jaxbundle.cli.codes import Code
 
 _FATAL = b"the JAX distributed service detected fatal errors"
-_BEFORE = b"coordination_service_agent"  # the lines that announce it
+_BEFORE = b"coordination_service_agent"  # lines that precede it
 _SENTENCE = (
-    b"jaxbundle: another process of the cluster was lost, or process 0, the coordinator; see what it said, and start"
-    b" all of them again (--checkpoint goes on from the last accepted step)\n"
+    b"jaxbundle: another process of the cluster was lost, or process 0, the coordinator; see its message, and start"
+    b" all processes again (--checkpoint resumes from the last accepted step)\n"
 )
 
 
 def in_a_sentence() -> Callable[[], None]:
-    """Begins to pass on standard error, and returns a function that brings it back as it was."""
+    """Starts to forward standard error, and returns a function that restores it."""
     read, write = os.pipe()
     kept = os.dup(2)
     os.dup2(write, 2)
@@ -29,7 +29,7 @@ def in_a_sentence() -> Callable[[], None]:
     thread.start()
 
     def end() -> None:
-        os.dup2(kept, 2)  # the last end of the pipe: the thread comes to its end
+        os.dup2(kept, 2)  # closes the last writing end of the pipe: the thread ends
         thread.join()
         os.close(kept)
 

@@ -1,8 +1,8 @@
-"""The command line: options in, one call, exit code out.
+"""The command line: each command parses its options, calls one function and returns an exit code.
 
-Exit codes: see `codes`. Whatever an error is, it ends in a sentence and its code, never in a traceback.
+Exit codes: see `codes`. Any error ends with a message and an exit code, never with a traceback.
 
-A command's own module is loaded when the command is called: help and wrong options shall not wait for JAX.
+The module of a command is imported when the command is called: help and wrong options do not wait for JAX.
 """
 
 import importlib
@@ -14,10 +14,10 @@ from typing import Annotated, Literal
 
 import typer
 
-from jaxbundle.cli import codes, photographs, planning
+from jaxbundle.cli import codes, photograph_commands, planning
 from jaxbundle.cli.cluster import Cluster, cluster_of
 from jaxbundle.cli.interruption import Interruption
-from jaxbundle.cli.options import (
+from jaxbundle.cli.shared_options import (
     CLUSTER,
     SOLVER,
     AttitudeSigma,
@@ -39,7 +39,7 @@ from jaxbundle.cli.options import (
     Stop,
     Unknown,
 )
-from jaxbundle.cli.told import Told
+from jaxbundle.cli.source_options import Told
 
 _METHOD = "Method"  # a heading in the help of adjust
 _WORK, _LEARN, _CHECK = "Adjust", "Learn and start", "Check the program"  # headings in the list of commands
@@ -54,12 +54,12 @@ app = typer.Typer(
 )
 
 app.add_typer(planning.app, name="plan")
-app.command(rich_help_panel=_WORK)(photographs.measure)
-app.command(rich_help_panel=_WORK)(photographs.pyramid)
+app.command(rich_help_panel=_WORK)(photograph_commands.measure)
+app.command(rich_help_panel=_WORK)(photograph_commands.pyramid)
 
 
 def main() -> None:
-    """Runs a command; whatever goes wrong ends with a sentence and its exit code, never with a traceback."""
+    """Runs a command; any error ends with a message and an exit code, never with a traceback."""
     try:
         app(prog_name="jaxbundle")
     except KeyboardInterrupt:
@@ -71,7 +71,7 @@ def main() -> None:
 
 
 def _loaded(command: str, cluster: Cluster | None = None) -> ModuleType:
-    """The module of a command, with JAX set up for it."""
+    """Imports the module of a command after the set-up of JAX."""
     importlib.import_module("jaxbundle.cli.runtime").start(cluster)
     return importlib.import_module(f"jaxbundle.cli.{command}")
 
@@ -89,7 +89,7 @@ def options(
         typer.Option("--version", "-V", callback=_version, is_eager=True, help="Show the version and exit."),
     ] = None,
 ) -> None:
-    """Options of all commands."""
+    """Handles the options of all commands."""
 
 
 @app.command(rich_help_panel=_WORK)
@@ -100,10 +100,12 @@ def adjust(
     show: Exports = None,
     write: Annotated[
         Path | None,
-        typer.Option(metavar="OUT", help="Write the adjusted block here, as `convert` would.", show_default=False),
+        typer.Option(
+            metavar="OUT", help="Write the adjusted block to this path, in any format of `convert`.", show_default=False
+        ),
     ] = None,
     to: Annotated[
-        str, typer.Option(help="The format of --write, where its name does not tell it.", metavar="NAME")
+        str, typer.Option(help="The format of --write, if its name does not determine it.", metavar="NAME")
     ] = "",
     hold_interior: Annotated[
         bool, typer.Option("--hold-interior", help="Keep the interior orientation of all cameras fixed.")
@@ -130,14 +132,14 @@ def adjust(
         typer.Option(
             help="bundle: all rays at once; models: independent models of two images; strips: independent strips,"
             " corrected by polynomials. levenberg-marquardt (damped steps, for any start) and gauss-newton (full steps,"
-            " for a good start) are the bundle, solved so.",
+            " for a good start) select the solver of the bundle.",
             rich_help_panel=_METHOD,
         ),
     ] = "bundle",
     start: Annotated[
         Literal["models", "strips"] | None,
         typer.Option(
-            help="Adjust by this method first and start from its results.",
+            help="First adjust with this method, and start from its results.",
             show_default=False,
             rich_help_panel=_METHOD,
         ),
@@ -147,7 +149,7 @@ def adjust(
     ] = 2,
     polynomials: Annotated[
         Literal["separate", "plan-conformal", "conformal"],
-        typer.Option(help="Polynomials of strips: how X, Y and Z belong together.", rich_help_panel=_METHOD),
+        typer.Option(help="Polynomials of strips: how X, Y and Z are coupled.", rich_help_panel=_METHOD),
     ] = "separate",
     stop: Stop = "angle",
     limit: Limit = None,
@@ -157,7 +159,7 @@ def adjust(
     ] = 200,
     engine: Annotated[
         Literal["block", "jaxopt"],
-        typer.Option(help="jaxopt: an independent solver for small blocks, to compare.", rich_help_panel=SOLVER),
+        typer.Option(help="jaxopt: an independent solver for small blocks, for comparison.", rich_help_panel=SOLVER),
     ] = "block",
     reduced: Annotated[
         Literal["auto", "dense", "panels", "pcg"],
@@ -187,12 +189,12 @@ def adjust(
 ) -> None:
     """Adjust one or several blocks and write their reports and tables.
 
-    Exit codes, for several blocks the largest:
+    Exit codes (for several blocks, the maximum):
     0 adjusted and trustworthy;
-    1 adjusted, but not to be trusted (the first lines say why);
+    1 adjusted, but not to be trusted (the first lines give the reason);
     2 bad input;
-    3 the results could not be written to their folder (they are kept in a temporary one);
-    4 an error of the program, or not enough memory;
+    3 the results could not be written to their folder (they are saved in a temporary one);
+    4 an internal error, or not enough memory;
     130 interrupted before a step was accepted.
 
     Ctrl-C, or SIGTERM, ends the iterations after the current step and keeps the last accepted unknowns; a second one
@@ -200,20 +202,20 @@ def adjust(
     """
     cluster = cluster_of(coordinator, processes, process)
     if len(paths) > 1 and (checkpoint is not None or cluster is not None):
-        raise typer.BadParameter("a --checkpoint and a cluster belong to one block; adjust the blocks one by one")
+        raise typer.BadParameter("--checkpoint and a cluster support one block only; adjust the blocks one by one")
     if (show or write) and len(paths) > 1:
-        raise typer.BadParameter("--export and --write belong to one block; adjust the blocks one by one")
+        raise typer.BadParameter("--export and --write support one block only; adjust the blocks one by one")
     if reduced == "pcg" and not no_precision:
         raise typer.BadParameter("--reduced pcg gives no standard deviations and needs --no-precision")
     if robust is not None and checkpoint is not None:
-        raise typer.BadParameter("--robust solves many times and keeps no --checkpoint")
+        raise typer.BadParameter("--checkpoint is not supported together with --robust")
     by_rays = method in ("bundle", "levenberg-marquardt", "gauss-newton")
     if not by_rays and (checkpoint is not None or cluster is not None or stop in ("parallax", "unknown")):
         raise typer.BadParameter(
-            f"--checkpoint, a cluster and --stop parallax or unknown belong to the bundle, not to --method {method}"
+            f"--checkpoint, a cluster and --stop parallax or unknown require the bundle, not --method {method}"
         )
     if polynomials == "conformal" and degree != 2:
-        raise typer.BadParameter("--polynomials conformal are of degree 2; others have degree 2 or 3")
+        raise typer.BadParameter("--polynomials conformal require degree 2; others degree 2 or 3")
     try:
         with Interruption() as interruption:
             adjusting = _loaded("adjusting", cluster)
@@ -239,7 +241,7 @@ def adjust(
                 interior,
                 pixel_size,
             )
-            sources = importlib.import_module("jaxbundle.cli.sources").sources_of(told)
+            sources = importlib.import_module("jaxbundle.cli.source_values").sources_of(told)
             wanted = adjusting.Wanted(
                 options,
                 stop,
@@ -272,20 +274,20 @@ def approximate(
         typer.Option("--out", "-o", help="Block folder of the result (default: NAME-approximate).", show_default=False),
     ] = None,
     anew: Annotated[
-        bool, typer.Option("--anew", help="Find orientations and points anew that are given; what is held stays.")
+        bool, typer.Option("--anew", help="Recompute given orientations and points; fixed ones do not change.")
     ] = False,
 ) -> None:
-    """Find approximate orientations and points from the rays, and write the block with them.
+    """Compute approximate orientations and points from the rays, and write the block with them.
 
-    Exit codes: 0 all images are oriented in one system; 1 some are not, or there are parts; 2 bad input.
+    Exit codes: 0 all images are oriented in one system; 1 some are not, or there are separate parts; 2 bad input.
     """
     raise typer.Exit(_loaded("approximating").run(path, out, anew))
 
 
 @app.command(rich_help_panel=_CHECK)
 def check_partials(draws: Annotated[int, typer.Option(min=1, help="Number of random rays.")] = 100_000) -> None:
-    """Check the textbook's 18 partials against automatic derivatives."""
-    raise typer.Exit(_loaded("partials").run(draws))
+    """Check the 18 partial derivatives of the image equations (Text 000) against automatic differentiation."""
+    raise typer.Exit(_loaded("checking_partials").run(draws))
 
 
 @app.command(rich_help_panel=_LEARN)
@@ -303,7 +305,7 @@ def _completed_pages(incomplete: str) -> list[str]:
 @app.command(rich_help_panel=_LEARN)
 def docs(
     page: Annotated[
-        str, typer.Argument(metavar="PAGE", help="Name of a page.", autocompletion=_completed_pages)
+        str, typer.Argument(metavar="PAGE", help="Name of the page.", autocompletion=_completed_pages)
     ] = "index",
 ) -> None:
     """Show a page of the documentation; without a name the index, which lists all pages."""
@@ -314,19 +316,19 @@ def docs(
 def new(
     folder: Annotated[Path, typer.Argument(metavar="FOLDER", help="A new or an empty folder.", show_default=False)],
 ) -> None:
-    """Write a small block folder with comments, which can be adjusted as it is and changed to your own."""
+    """Write a small block folder with comments that can be adjusted; then replace its data by your own."""
     importlib.import_module("jaxbundle.cli.pages").new(folder)
 
 
 @app.command(rich_help_panel=_WORK)
 def compare(
     first: Annotated[Path, typer.Argument(metavar="A", help="A folder of results.", show_default=False)],
-    second: Annotated[Path, typer.Argument(metavar="B", help="Another one.", show_default=False)],
+    second: Annotated[Path, typer.Argument(metavar="B", help="Another folder of results.", show_default=False)],
     out: Annotated[
-        Path | None, typer.Option("--out", "-o", help="File of the comparison as a page (HTML).", show_default=False)
+        Path | None, typer.Option("--out", "-o", help="File for the comparison as an HTML page.", show_default=False)
     ] = None,
     surveys: Annotated[
-        bool, typer.Option("--surveys", help="Two independent surveys: test which points have moved.")
+        bool, typer.Option("--surveys", help="Two independent surveys: test which points have displacements.")
     ] = False,
     level: Annotated[float, typer.Option(help="Level of that test, for all points together.")] = 0.05,
 ) -> None:
@@ -337,7 +339,7 @@ def compare(
 @app.command(rich_help_panel=_WORK)
 def show(
     folder: Annotated[Path, typer.Argument(metavar="DIR", help="A folder of results.", show_default=False)],
-    text: Annotated[bool, typer.Option("--text", help="Print the report instead.")] = False,
+    text: Annotated[bool, typer.Option("--text", help="Print the report as text instead.")] = False,
 ) -> None:
     """Open the report of a folder of results."""
     importlib.import_module("jaxbundle.cli.showing").run(folder, text)
@@ -349,11 +351,11 @@ def convert(
     out: Annotated[
         Path,
         typer.Argument(
-            help="A block folder, or a file whose suffix tells its form: .txt (BAL), .xml, .nvm, .out, .ply, .csv ...",
+            help="A block folder, or a file whose suffix determines its format: .txt (BAL), .xml, .nvm, .out, .ply ...",
             show_default=False,
         ),
     ],
-    to: Annotated[str, typer.Option(help="The format of OUT, where its name does not tell it.", metavar="NAME")] = "",
+    to: Annotated[str, typer.Option(help="The format of OUT, if its name does not determine it.", metavar="NAME")] = "",
     form: Form = "",
     control: Control = None,
     stations: Stations = None,
@@ -365,9 +367,9 @@ def convert(
     interior: Interior = "",
     pixel_size: PixelSize = None,
 ) -> None:
-    """Convert a block between the forms that are read and written, and say what the new form cannot hold."""
+    """Convert a block to another format, and report what the new format cannot represent."""
     converting = _loaded("converting")
     told = Told(
         form, control, stations, control_sigma, station_sigma, attitude_sigma, image_size, chunk, interior, pixel_size
     )
-    converting.run(path, out, to, importlib.import_module("jaxbundle.cli.sources").sources_of(told))
+    converting.run(path, out, to, importlib.import_module("jaxbundle.cli.source_values").sources_of(told))

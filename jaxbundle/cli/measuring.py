@@ -1,4 +1,4 @@
-"""`jaxbundle measure`: photographs to a block folder, or the rays of a block measured again."""
+"""The command `jaxbundle measure`: measures photographs to a block folder, or remeasures the rays of a block."""
 
 from pathlib import Path
 from typing import NamedTuple
@@ -11,18 +11,18 @@ from jaxbundle.cli.codes import BadInput, Code
 from jaxbundle.cli.progress import Phases
 from jaxbundle.imagery.match_types import Refusal
 from jaxbundle.imagery.pyramid_file import pyramid
-from jaxbundle.imagery.refine import refine
+from jaxbundle.imagery.refinement import refine
 from jaxbundle.io import read, write_block_folder
-from jaxbundle.measuring.measure import CameraGiven, MeasureOptions, measure
+from jaxbundle.measuring.measurement import CameraGiven, MeasureOptions, measure
 from jaxbundle.measuring.photo_set import read_positions
 from jaxbundle.report.text import wrapped
 
-INDENT = 10  # of findings, as in reports
+INDENT = 10  # words for severities, as in reports
 SUFFIXES = (".jpg", ".jpeg", ".png", ".tif", ".tiff")
 
 
 class Wanted(NamedTuple):
-    """What the user asks for."""
+    """Options of the user."""
 
     images: list[Path]
     out: Path
@@ -57,7 +57,7 @@ def run(wanted: Wanted) -> int:
 
 
 def run_refining(block_path: Path, folder: Path, out: Path, pyramids: Path | None) -> int:
-    """Measures the rays of a block again and writes it as a block folder.
+    """Remeasures the rays of a block and writes it as a block folder.
 
     Raises: BlockError, ImageError, BadInput.
     """
@@ -74,7 +74,7 @@ def run_refining(block_path: Path, folder: Path, out: Path, pyramids: Path | Non
         found = refine(block, images)
     write_block_folder(found.block, out)
     measured, tried = int(found.matches.matched.sum()), len(found.rays)
-    typer.echo(f"{len(images)} of {len(block.structure.image_names)} images; {measured} of {tried} rays measured again")
+    typer.echo(f"{len(images)} of {len(block.structure.image_names)} images; {measured} of {tried} rays remeasured")
     _echo_refused({reason: number for reason, number in found.counts.items() if reason != Refusal.MATCHED})
     typer.echo(f"Block: {out}")
     return Code.ADJUSTED

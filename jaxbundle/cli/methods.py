@@ -1,19 +1,19 @@
-"""The methods of `jaxbundle adjust`: bundle, independent models, independent strips; one as the start of another."""
+"""The methods of `jaxbundle adjust`: bundle, independent models and independent strips, also as start of another."""
 
 from collections.abc import Callable
 from typing import NamedTuple
 
 from jaxbundle.block.block import Block
-from jaxbundle.independent.adjust_models import adjust_models
-from jaxbundle.independent.adjust_strips import adjust_strips
+from jaxbundle.independent.model_adjustment import adjust_models
 from jaxbundle.independent.polynomials import Form
+from jaxbundle.independent.strip_adjustment import adjust_strips
 from jaxbundle.report.method_sections import MethodAdjustment
 from jaxbundle.solve.adjust import Progress
 from jaxbundle.solve.options import Options
 
 
 class Methods(NamedTuple):
-    """Which method adjusts, which one comes before it, and the polynomials of strips."""
+    """The method of the adjustment, the method before it, and the polynomials of strips."""
 
     method: str = "bundle"
     start: str | None = None
@@ -22,7 +22,7 @@ class Methods(NamedTuple):
 
 
 def started(block: Block, methods: Methods) -> Block:
-    """The block, with the results of another method as its start where that is wanted."""
+    """The block, with the results of another method as approximate values if requested."""
     if methods.start is None:
         return block
     return adjusted_by(methods._replace(method=methods.start), block, Options(precision=False), None).block
@@ -31,7 +31,7 @@ def started(block: Block, methods: Methods) -> Block:
 def adjusted_by(
     methods: Methods, block: Block, options: Options, progress: Callable[[Progress], None] | None
 ) -> MethodAdjustment:
-    """The adjustment by models or strips."""
+    """Adjusts by models or strips."""
     if methods.method == "models":
         return adjust_models(block, options, progress=progress)
     return adjust_strips(block, options, degree=methods.degree, form=methods.form, progress=progress)

@@ -1,4 +1,4 @@
-"""`jaxbundle docs` and `jaxbundle new`: the pages that come with the package, and a block folder to start from."""
+"""The commands `jaxbundle docs` and `jaxbundle new`: pages of the documentation, and a template block folder."""
 
 from pathlib import Path
 
@@ -21,7 +21,7 @@ def page_names() -> list[str]:
 
 
 def completed(incomplete: str) -> list[str]:
-    """The pages whose names begin so."""
+    """The pages whose names begin with a text."""
     return [name for name in page_names() if name.startswith(incomplete)]
 
 
@@ -59,4 +59,4 @@ def new(folder: Path) -> None:
     for path in sorted(TEMPLATE.iterdir()):
         (folder / path.name).write_bytes(path.read_bytes())
         typer.echo(f"{folder / path.name}")
-    typer.echo(f"Adjust it as it is, then put your own data in its place:\n  jaxbundle adjust {folder}")
+    typer.echo(f"Adjust it without changes, then replace its data by your own:\n  jaxbundle adjust {folder}")

@@ -1,4 +1,4 @@
-"""`jaxbundle plan`: accuracy before the flight. Options here; what is done stands in `planning_runs`."""
+"""The command `jaxbundle plan`: accuracy before the flight. This module has the options; `planning_runs` the work."""
 
 import importlib
 from pathlib import Path
@@ -10,7 +10,7 @@ from typer.core import TyperGroup
 
 
 class _WithDefault(TyperGroup):
-    """`plan FLIGHT` is `plan flight FLIGHT`."""
+    """Makes `plan FLIGHT` a short form of `plan flight FLIGHT`."""
 
     def parse_args(self, ctx: Any, args: list[str]) -> list[str]:
         if args and args[0] not in self.commands and not args[0].startswith("-"):
@@ -31,7 +31,7 @@ Three = tuple[float, float, float]
 
 
 def _loaded() -> ModuleType:
-    """The commands' module, with JAX set up for it."""
+    """Imports the module of the commands after the set-up of JAX."""
     importlib.import_module("jaxbundle.cli.runtime").start()
     return importlib.import_module("jaxbundle.cli.planning_runs")
 
@@ -40,14 +40,14 @@ def _loaded() -> ModuleType:
 def flight(path: Flight, out: Out = Path("plan")) -> None:
     """Predict the accuracy of a flight, without noise and without a solve.
 
-    Exit code 1 where unknowns are not determined or the specification is not kept.
+    Exit code 1 if unknowns are not determined or the specification is not met.
     """
     raise typer.Exit(_loaded().flight(path, out))
 
 
 @app.command()
 def simulate(path: Flight, out: Out = Path("simulated")) -> None:
-    """Simulate a flight: a block folder to adjust, and the truth beside it."""
+    """Simulate a flight: writes a block folder to adjust, and the true values."""
     raise typer.Exit(_loaded().simulate(path, out))
 
 
@@ -57,21 +57,27 @@ def control(
     points: Annotated[
         int | None,
         typer.Option(
-            min=1, help="Number of control points; without it as few as keep the specification.", show_default=False
+            min=1,
+            help="Number of control points; default: the minimum number that meets the specification.",
+            show_default=False,
         ),
     ] = None,
-    sigma: Annotated[Three, typer.Option(metavar="X Y Z", help="Their standard deviations, m.")] = (0.02, 0.02, 0.02),
+    sigma: Annotated[Three, typer.Option(metavar="X Y Z", help="Standard deviations of the control points, m.")] = (
+        0.02,
+        0.02,
+        0.02,
+    ),
     kind: Annotated[Literal["full", "plan", "height"], typer.Option(help="Kind of control.")] = "full",
     criterion: Annotated[
         Literal["mean", "worst"],
-        typer.Option(help="What is to be small: the mean variance, or that of the worst point."),
+        typer.Option(help="Quantity to minimise: the mean variance, or the maximum variance of a point."),
     ] = "mean",
-    candidates: Annotated[int, typer.Option(min=3, help="Number of places that are tried.")] = 120,
+    candidates: Annotated[int, typer.Option(min=3, help="Number of candidate positions.")] = 120,
     out: Out = Path("plan-control"),
 ) -> None:
-    """Where to put control points: exchange on the covariance, with a lower bound of all layouts.
+    """Optimise positions of control points: exchange on the covariance, with a lower bound of all layouts.
 
-    Control of the flight stays; the new points are added to it.
+    Control of the flight is not changed; the new points are added to it.
     """
     raise typer.Exit(_loaded().control(path, points, (sigma, kind, criterion, candidates), out))
 
@@ -80,7 +86,7 @@ def control(
 def monte_carlo(
     path: Flight,
     draws: Annotated[int, typer.Option(min=20, help="Number of adjustments.")] = 200,
-    seed: Annotated[int, typer.Option(min=0, help="Of the errors.")] = 0,
+    seed: Annotated[int, typer.Option(min=0, help="Seed of the random errors.")] = 0,
 ) -> None:
     """Adjust a flight many times with other errors, and test the scatter against the prediction."""
     raise typer.Exit(_loaded().monte_carlo(path, draws, seed))
@@ -88,7 +94,7 @@ def monte_carlo(
 
 @app.command()
 def design(path: Flight) -> None:
-    """Derivatives of the mean variance by control, sigmas, overlaps and height."""
+    """Derivatives of the mean variance with respect to control, sigmas, overlaps and height."""
     raise typer.Exit(_loaded().design(path))
 
 
@@ -96,14 +102,16 @@ def design(path: Flight) -> None:
 def sensitivity(
     path: Annotated[Path, typer.Argument(metavar="PATH", help="A block folder or a BAL file.", show_default=False)],
     point: Annotated[str, typer.Option(help="Name of the object point.", show_default=False)],
-    coordinate: Annotated[Literal["X", "Y", "Z"], typer.Option(help="Its coordinate.")] = "Z",
-    rows: Annotated[int, typer.Option(min=1, help="Rows of the table.")] = 15,
+    coordinate: Annotated[Literal["X", "Y", "Z"], typer.Option(help="Coordinate of the point.")] = "Z",
+    rows: Annotated[int, typer.Option(min=1, help="Number of rows of the table.")] = 15,
     out: Annotated[
         Path | None,
-        typer.Option("--out", "-o", help="File for all rows, CSV; a map of them, SVG, beside it.", show_default=False),
+        typer.Option(
+            "--out", "-o", help="File for all rows, CSV; also writes a map of them as SVG.", show_default=False
+        ),
     ] = None,
 ) -> None:
-    """What moves an adjusted coordinate: every observation, control coordinate and calibration value."""
+    """Sensitivity of an adjusted coordinate to each observation, control coordinate and calibration value."""
     raise typer.Exit(_loaded().sensitivity_of(path, point, coordinate, rows, out))
 
 
@@ -116,7 +124,7 @@ def laws(
     pairs: Annotated[int, typer.Option(min=1, help="Number of stereopairs.")] = 10,
     tolerance: Annotated[
         Three | None,
-        typer.Option(metavar="X Y Z", help="Largest standard deviations in the middle, m.", show_default=False),
+        typer.Option(metavar="X Y Z", help="Maximum standard deviations in the middle, m.", show_default=False),
     ] = None,
 ) -> None:
     """Laws of accumulation along a strip, and the distance between control for a tolerance."""

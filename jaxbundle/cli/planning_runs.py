@@ -1,4 +1,4 @@
-"""What the commands of `jaxbundle plan` do; each returns its exit code."""
+"""Functions of the commands of `jaxbundle plan`; each returns its exit code."""
 
 from pathlib import Path
 
@@ -12,13 +12,13 @@ from jaxbundle.io import read, write_block_folder
 from jaxbundle.io.flight_toml import read_flight
 from jaxbundle.io.tables import write_table
 from jaxbundle.planning.accuracy import Specification, check_specification, control_of, in_area, mean_variance
-from jaxbundle.planning.candidates import Candidates, candidates_of
+from jaxbundle.planning.control_candidates import Candidates, candidates_of
 from jaxbundle.planning.control_search import Layout, Objective, best_layout
-from jaxbundle.planning.design import derivatives_of
-from jaxbundle.planning.monte_carlo import monte_carlo as scatter_of
-from jaxbundle.planning.predict import predict
-from jaxbundle.planning.sensitivity import Effect, Sensitivity, sensitivity
-from jaxbundle.planning.simulate import simulate_flight
+from jaxbundle.planning.design_derivatives import derivatives_of
+from jaxbundle.planning.monte_carlo_runs import monte_carlo as scatter_of
+from jaxbundle.planning.prediction import predict
+from jaxbundle.planning.sensitivities import Effect, Sensitivity, sensitivity
+from jaxbundle.planning.simulation import simulate_flight
 from jaxbundle.report.planned import write_plan
 from jaxbundle.report.sigma_map import Map, sigma_map
 from jaxbundle.report.text import aligned
@@ -56,11 +56,11 @@ def simulate(path: Path, out: Path) -> int:
 
 
 def control(path: Path, count: int | None, wanted: tuple[Three, str, str, int], out: Path) -> int:
-    """Searches places for control points, predicts with them, writes and prints."""
+    """Searches positions for control points, predicts with them, writes and prints."""
     plan, specification = read_flight(path)
     sigmas, kind, criterion, places = wanted
     if count is None and specification is None:
-        raise BadInput("give --points, or a [specification] in the flight that the fewest points shall keep")
+        raise BadInput("give --points, or a [specification] in the flight, for the minimum number of points")
     truth = simulate_flight(plan).truth
     judged = np.flatnonzero(in_area(truth, plan))
     candidates = candidates_of(
@@ -95,7 +95,7 @@ def control(path: Path, count: int | None, wanted: tuple[Three, str, str, int], 
 
 
 def spread_candidates(block: Block, points: np.ndarray, count: int) -> np.ndarray:
-    """Points spread over the block: each next one is farthest from those before it."""
+    """Points spread over the block: each next point is the farthest from those before it."""
     free = np.flatnonzero(points)
     xy = np.asarray(block.object_points)[free, :2]
     chosen = [int(np.argmin(xy.sum(1)))]
@@ -107,7 +107,7 @@ def spread_candidates(block: Block, points: np.ndarray, count: int) -> np.ndarra
 
 
 def _fewest(candidates: Candidates, specification: Specification, objective: Objective) -> tuple[Layout, bool]:
-    """The first number of points whose best layout keeps the specification."""
+    """The minimum number of points whose best layout meets the specification."""
     limits = np.array([specification.xy, specification.xy, specification.z])
     layout = None
     for count in range(1, min(40, len(candidates.points)) + 1):
@@ -129,10 +129,10 @@ def _layout_lines(block: Block, layout: Layout, kept: bool | None) -> list[str]:
     if np.isfinite(layout.bound):
         better = 1 - np.sqrt(layout.bound / layout.objective)
         lines.append(
-            f"no layout of as many of the places is better by more than {better:.0%} of the root mean variance"
+            f"no layout with this number of positions is better by more than {better:.0%} of the root mean variance"
         )
     if kept is not None:
-        lines.append("the specification is kept" if kept else "no number of points up to this keeps the specification")
+        lines.append("the specification is met" if kept else "no number of points up to this meets the specification")
     return lines
 
 
@@ -157,7 +157,7 @@ def design(path: Path) -> int:
     truth = simulate_flight(plan).truth
     found = derivatives_of(truth, plan, mean_variance(points=in_area(truth, plan)))
     root, unit = found.value**0.5, truth.structure.object_unit
-    typer.echo(f"root of the mean variance of the points that are not control: {root:.4g} {unit}")
+    typer.echo(f"root of the mean variance of the points without control: {root:.4g} {unit}")
 
     def change(derivative: float, step: float) -> str:
         return f"{derivative * step / (2 * root) / root:+.2%}"
@@ -182,7 +182,7 @@ def design(path: Path) -> int:
 
 
 def sensitivity_of(path: Path, point: str, coordinate: str, rows: int, out: Path | None) -> int:
-    """Prints what moves a coordinate most."""
+    """Prints the observations and values with the largest effect on a coordinate."""
     block = read(path)
     names = block.structure.point_names
     if point not in names:
@@ -193,11 +193,11 @@ def sensitivity_of(path: Path, point: str, coordinate: str, rows: int, out: Path
     typer.echo(
         f"{coordinate} of point {point}: {found.value:.4f} {unit}, a priori sd {found.standard_deviation:.4g} {unit}"
     )
-    table = [("observation", "derivative", f"an error of one sigma moves it by [{unit}]")]
+    table = [("observation", "derivative", f"effect of an error of one sigma [{unit}]")]
     table += [(_who(e), f"{e.derivative:+.4g}", f"{e.effect:+.4g}") for e in found.effects[:rows]]
     typer.echo("\n".join(aligned(table)))
     if found.held:
-        typer.echo(f"values taken as known, and what 0.001 of their unit moves {coordinate} by [{unit}]")
+        typer.echo(f"known values, and the effect on {coordinate} of 0.001 of their unit [{unit}]")
         table = [(f"{_who(e)} [{e.unit}]", f"{e.derivative * 0.001:+.4g}") for e in found.held[:rows]]
         typer.echo("\n".join(aligned(table)))
     if out is not None:
@@ -216,15 +216,17 @@ def sensitivity_of(path: Path, point: str, coordinate: str, rows: int, out: Path
 
 
 def _effect_map(block: Block, found: Sensitivity, point: str, coordinate: str) -> str:
-    """A map of how much the rays and the control of each point move a coordinate, one sigma each."""
+    """A map of the effect of rays and control of each point on a coordinate, for errors of one sigma."""
     s = block.structure
     place, squares = {name: k for k, name in enumerate(s.point_names)}, np.zeros(len(s.point_names))
     for effect in found.effects:
         if effect.subject.table in ("rays", "control"):
             squares[place[effect.subject.names[-1]]] += effect.effect**2
-    title = f"{s.name}: what the observations of each point do to {coordinate} of point {point}, one sigma each"
+    title = (
+        f"{s.name}: effect of the observations of each point on {coordinate} of point {point}, for errors of one sigma"
+    )
     xy, stations = np.asarray(block.object_points)[:, :2], np.asarray(block.exterior.projection_centre)[:, :2]
-    unjudged = np.zeros(len(squares), bool)  # control is coloured too
+    unjudged = np.zeros(len(squares), bool)  # control points are coloured as well
     return sigma_map(Map(title, s.object_unit, xy, np.sqrt(squares), unjudged, stations, s.point_names))
 
 
@@ -234,7 +236,7 @@ def _who(effect: Effect) -> str:
 
 
 def laws(scale: float, parallax: float, camera: tuple[float, float], pairs: int, tolerance: Three | None) -> int:
-    """Prints the laws for a strip, and the distance between control."""
+    """Prints the laws of accumulation for a strip, and the distance between control."""
     f, base = camera
     try:
         setup = accuracy_laws.StripSetup(scale, parallax / 1000, f / 1000, base / 1000)
@@ -253,7 +255,7 @@ def laws(scale: float, parallax: float, camera: tuple[float, float], pairs: int,
     typer.echo("\n".join(aligned(rows)))
     typer.echo(
         "printed: the parallax error is that of a parallax; bundle: read as the sigma of one image coordinate, 60 %"
-        " overlap.\nhinged ends hold positions (one point); clamped ends hold scale and azimuth too (two XYZ points"
+        " overlap.\nhinged ends fix positions (one point); clamped ends also fix scale and azimuth (two XYZ points"
         " across)."
     )
     exact, printed = accuracy_laws.accumulation(pairs), accuracy_laws.printed_accumulation(pairs)

@@ -1,4 +1,4 @@
-"""Progress on a terminal: what is being done, and one line per iteration. A pipe or a file gets nothing."""
+"""Progress on a terminal: the current phase, and one line per iteration. Pipes and files get no output."""
 
 import math
 import time
@@ -19,7 +19,7 @@ _LONG = 1.0  # seconds: a phase that took longer is listed with its time
 
 
 class ProgressLines:
-    """Writes to standard error, and only where that is a terminal; nothing if `quiet`."""
+    """Writes progress to standard error if that is a terminal and `quiet` is false."""
 
     def __init__(self, quiet: bool = False) -> None:
         self._console = Console(stderr=True, highlight=False, quiet=quiet)
@@ -28,7 +28,7 @@ class ProgressLines:
 
     @contextmanager
     def phase(self, what: str) -> Iterator[None]:
-        """Shows what is being done for as long as it takes."""
+        """Context that shows a phase while it runs."""
         begin = self._last = time.perf_counter()
         if self._console.is_terminal:
             with self._console.status(what, spinner="line") as self._status:
@@ -37,12 +37,12 @@ class ProgressLines:
             took = time.perf_counter() - begin
             if took > _LONG:
                 name = _ADJUSTING if what == COMPILING else what
-                self._console.print(f"{name}: {took:.1f} s in all", style="dim")
+                self._console.print(f"{name}: {took:.1f} s in total", style="dim")
         else:
             yield
 
     def iteration(self, progress: Progress) -> None:
-        """One line; the first one, which may have waited for the compiler, below a header."""
+        """Prints the line of an iteration; the first one, which may include compilation, with a header."""
         if not self._console.is_terminal:
             return
         now = time.perf_counter()
@@ -61,7 +61,7 @@ class ProgressLines:
 
 
 class Phases:
-    """What is being done at this moment, on one line of standard error; nothing where that is not a terminal."""
+    """The current phase on one line of standard error; no output if that is not a terminal."""
 
     def __init__(self) -> None:
         self._console = Console(stderr=True, highlight=False)
@@ -78,11 +78,11 @@ class Phases:
             self._status.stop()
 
     def tell(self, what: str) -> None:
-        """Shows what is being done."""
+        """Shows the current phase."""
         if self._status is not None:
             self._status.update(what)
 
 
 def _known(value: float, form: str) -> str:
-    """A number, "-" for what is not one."""
+    """A number as text, "-" for NaN."""
     return "-" if math.isnan(value) else format(value, form)

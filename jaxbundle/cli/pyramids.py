@@ -1,4 +1,4 @@
-"""`jaxbundle pyramid`: the pyramids of photographs, those that exist found again."""
+"""The command `jaxbundle pyramid`: makes pyramids of photographs, and reuses existing ones."""
 
 from pathlib import Path
 

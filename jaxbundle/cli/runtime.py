@@ -1,4 +1,4 @@
-"""JAX as the command line needs it: double precision, one device per core, compiled programs kept for the next call."""
+"""Set-up of JAX for the command line: double precision, one device per core, compiled programs cached on disk."""
 
 import atexit
 import os
@@ -17,15 +17,15 @@ from jaxbundle.numerics import programs
 from jaxbundle.numerics.devices import meet
 from jaxbundle.numerics.private_folder import private_folder, trim
 
-MOST_DEVICES = 8  # each holds the reduced normal equations in full
-# bytes of compiled programs: a block of a new shape adds 1 to 10 MB, and every version of the program its own, so this
-# is room for some hundred; a program that was deleted is compiled again
+MOST_DEVICES = 8  # each device stores the full reduced normal equations
+# bytes of compiled programs: each new shape of a block and each new version adds 1 to 10 MB, so this is enough for #
+# some hundred programs; a deleted program is compiled again
 CACHE = 500_000_000
-MEETING, LOST, WRITING = 120, 60, 3600  # seconds: to wait for all processes, for a silent one, for the report
+MEETING, LOST, WRITING = 120, 60, 3600  # seconds: waiting for all processes, for a silent one, for the report
 
 
 def start(cluster: Cluster | None = None, processes: int = 1) -> None:
-    """To be called before anything is computed. `cluster`: that this process belongs to; `processes` share the cores.
+    """Sets up JAX; to be called before any computation. `cluster`: of this process; `processes` share the cores.
 
     Raises: typer.BadParameter for a cluster that cannot be joined.
     """
@@ -34,7 +34,7 @@ def start(cluster: Cluster | None = None, processes: int = 1) -> None:
     cache, private = cache_folder(), None
     if cache is not None:
         private = private_folder(cache)
-    if private is not None:  # else without: what lies there is run
+    if private is not None:  # otherwise without cache: its content is executed
         trim(private, CACHE)
         jax.config.update("jax_compilation_cache_dir", str(private))
         programs.keep_in(private / "programs")
@@ -45,8 +45,8 @@ def start(cluster: Cluster | None = None, processes: int = 1) -> None:
 
 
 def _join(cluster: Cluster) -> None:
-    """Meets the other processes. From then on a process that fails ends at once: the others are told."""
-    jax.config.update("jax_enable_preemption_service", False)  # it would take SIGTERM for a notice
+    """Connects to the other processes. Afterwards a failing process ends immediately and notifies the others."""
+    jax.config.update("jax_enable_preemption_service", False)  # JAX would interpret SIGTERM as a notice of preemption
     waiting = Timer(MEETING, _not_met, [cluster])
     waiting.daemon = True
     waiting.start()
@@ -55,12 +55,15 @@ def _join(cluster: Cluster) -> None:
             None if cluster.coordinator == AUTOMATIC else cluster.coordinator,
             cluster.processes,
             cluster.process,
-            initialization_timeout=2 * MEETING,  # longer than our own, for JAX ends the process without a word of ours
+            initialization_timeout=2
+            * MEETING,  # longer than our own time limit, because JAX ends the process without our message
             heartbeat_timeout_seconds=LOST,
             shutdown_timeout_seconds=WRITING,
         )
     except ValueError as error:
-        cure = "give HOST:PORT with --processes and --process" if cluster.coordinator == AUTOMATIC else "check it"
+        cure = (
+            "give HOST:PORT with --processes and --process" if cluster.coordinator == AUTOMATIC else "check the address"
+        )
         raise typer.BadParameter(f"--coordinator {cluster.coordinator}: no cluster ({error}); {cure}") from error
     finally:
         waiting.cancel()
@@ -71,14 +74,14 @@ def _join(cluster: Cluster) -> None:
         meet()
     except RuntimeError as error:
         raise LostProcess(error) from error
-    atexit.register(_end_at_once, restored)  # runs before JAX's own, which waits for the other processes
+    atexit.register(_end_at_once, restored)  # runs before the function of JAX, which waits for the other processes
 
 
 def _require_count(cluster: Cluster) -> None:
-    """Raises typer.BadParameter where process 0 was told another number of processes than this one."""
+    """Raises typer.BadParameter if process 0 has another number of processes than this one."""
     if cluster.processes is not None and jax.process_count() != cluster.processes:
         raise typer.BadParameter(
-            f"--processes {cluster.processes} here, but process 0 was told {jax.process_count()}; give all the same"
+            f"--processes {cluster.processes} here, but {jax.process_count()} for process 0; give the same number"
         )
 
 
@@ -86,15 +89,15 @@ def _not_met(cluster: Cluster) -> None:
     address, count, number = cluster
     who = "process" if number is None else f"process {number} of {count}"
     typer.echo(
-        f"jaxbundle: {who} did not meet all others at {address} in {MEETING} s; start process 0 on that machine and one"
-        " process of every number with the same --coordinator and --processes, and let the port through the firewall",
+        f"jaxbundle: {who} could not connect to the others at {address} in {MEETING} s; start process 0 there and one"
+        " process of each number with the same --coordinator and --processes, and open the port in the firewall",
         err=True,
     )
     os._exit(2)
 
 
 def finished() -> None:
-    """The work is done: this process may end when the others do."""
+    """Marks the end of the work: this process may end when the others end."""
     atexit.unregister(_end_at_once)
 
 
@@ -106,7 +109,7 @@ def _end_at_once(before: Callable[[], None]) -> None:
 
 
 def cache_folder() -> Path | None:
-    """The user's cache folder by the XDG base directory specification, which ignores a path that is not absolute.
+    """The user's cache folder (XDG base directory specification, which ignores relative paths).
 
     None for a user without a home.
     """
@@ -119,5 +122,5 @@ def cache_folder() -> Path | None:
 
 
 def _cores() -> int:
-    """Cores that this process may use."""
+    """Number of cores that this process may use."""
     return len(os.sched_getaffinity(0)) if hasattr(os, "sched_getaffinity") else os.cpu_count() or 1

@@ -1,7 +1,7 @@
-"""`jaxbundle adjust` of several paths: a folder of results for each, a table of all, and processes that share the work.
+"""Adjusting several paths: one folder of results for each, a table of all, and worker processes.
 
-A worker process is kept for the next path: it has JAX and its programs already. Only the parent hears of Ctrl-C; it
-ends the workers, and reports what they had finished.
+A worker process is reused for the next path, because it has JAX and the compiled programs in memory. Only the parent
+handles Ctrl-C: it ends the workers, and reports the finished blocks.
 """
 
 import multiprocessing
@@ -26,19 +26,19 @@ from jaxbundle.cli.interruption import Interruption
 from jaxbundle.cli.progress import ProgressLines
 from jaxbundle.io.tables import write_table
 from jaxbundle.numerics.whole_files import marked_name, sync_file
-from jaxbundle.report.folder import require_writable
+from jaxbundle.report.result_folder import require_writable
 from jaxbundle.solve.adjustment import Status
 from jaxbundle.solve.batch import Row, failed_row, row_of, table_lines, unique
 
 TABLE, OUT = "adjustments.csv", Path("adjustments")
-HEADER = b"name,path,status,"  # the beginning of such a table
+HEADER = b"name,path,status,"  # the first columns of the table
 NOT_ADJUSTED = "not adjusted"
 LISTENING = 0.2  # seconds
-GRACE = 2.0  # seconds in which a worker may put away what it was writing; the compiler does not listen
+GRACE = 2.0  # seconds for a worker to remove a half-written report; it cannot react during compilation
 
 
 class Task(NamedTuple):
-    """A path and what its results are called."""
+    """A path and the name of its results."""
 
     name: str
     path: Path
@@ -46,8 +46,8 @@ class Task(NamedTuple):
 
 
 class Done(NamedTuple):
-    """A row of the table, the exit code that the path alone would have, what is said beside the table, and whether the
-    adjustment was interrupted."""
+    """Result of one path: the row of the table, its exit code, additional messages, and whether the adjustment was
+    interrupted."""
 
     row: Row
     code: int
@@ -56,7 +56,7 @@ class Done(NamedTuple):
 
 
 def run(paths: Sequence[Path], out: Path | None, wanted: Wanted, jobs: int, stop: Interruption) -> int:
-    """Adjusts all, writes and prints; the worst exit code."""
+    """Adjusts all paths, writes and prints, and returns the maximum exit code."""
     folder = out or OUT
     _require_place(folder)
     tasks = named(paths, folder)
@@ -78,7 +78,7 @@ def run(paths: Sequence[Path], out: Path | None, wanted: Wanted, jobs: int, stop
 
 
 def _written(folder: Path, tasks: Sequence[Task], rows: Sequence[Row]) -> Code:
-    """Writes and prints the table of all."""
+    """Writes and prints the table of all paths."""
     try:
         folder.mkdir(parents=True, exist_ok=True)
         _write(folder / TABLE, tasks, rows)
@@ -92,7 +92,7 @@ def _written(folder: Path, tasks: Sequence[Task], rows: Sequence[Row]) -> Code:
 
 
 def named(paths: Sequence[Path], folder: Path) -> list[Task]:
-    """A folder for each path, called by its name; equal names are numbered."""
+    """A folder for each path with its name; equal names are numbered."""
     tasks, taken = [], {TABLE}
     for path in paths:
         name = unique(path.resolve().stem, taken)
@@ -102,7 +102,7 @@ def named(paths: Sequence[Path], folder: Path) -> list[Task]:
 
 
 def adjusted(task: Task, wanted: Wanted, stop: Interruption | None = None) -> Done:
-    """One path, whatever is wrong with it."""
+    """Adjusts one path and catches all errors."""
     start = time.perf_counter()
     try:
         outcome = adjust_path(task.path, task.folder, wanted, ProgressLines(quiet=True), stop or Interruption())
@@ -121,7 +121,7 @@ def adjusted(task: Task, wanted: Wanted, stop: Interruption | None = None) -> Do
 
 
 def _in_turn(tasks: Sequence[Task], wanted: Wanted, stop: Interruption) -> Iterator[tuple[Task, Done]]:
-    """One after the other, up to one that is interrupted."""
+    """Adjusts one path after the other, until one is interrupted."""
     for task in tasks:
         result = adjusted(task, wanted, stop)
         yield task, result
@@ -130,15 +130,15 @@ def _in_turn(tasks: Sequence[Task], wanted: Wanted, stop: Interruption) -> Itera
 
 
 def _in_processes(tasks: Sequence[Task], wanted: Wanted, jobs: int, stop: Interruption) -> Iterator[tuple[Task, Done]]:
-    """By workers, as they finish."""
+    """Adjusts with worker processes; yields results as they finish."""
     jobs = min(jobs, len(tasks))
-    spawn = multiprocessing.get_context("spawn")  # a fork would share threads of JAX
+    spawn = multiprocessing.get_context("spawn")  # forked processes would share threads of JAX
     with ProcessPoolExecutor(jobs, spawn, _set_up, (jobs,)) as pool:
-        stop.before_the_end = lambda: _kill(pool)  # or the workers would outlive their parent
+        stop.before_the_end = lambda: _kill(pool)  # otherwise the workers would outlive their parent
         try:
             futures: dict[Future[Done], Task] = {pool.submit(adjusted, task, wanted): task for task in tasks}
             while futures:
-                # not for ever at once: a signal that another thread receives does not wake one that waits
+                # with a time limit: a signal to another thread does not wake a waiting thread
                 finished, _ = wait(futures, LISTENING, FIRST_COMPLETED)
                 stop.check()
                 for future in finished:
@@ -156,7 +156,7 @@ def _in_processes(tasks: Sequence[Task], wanted: Wanted, jobs: int, stop: Interr
 
 
 def _workers(pool: ProcessPoolExecutor) -> list[Any]:
-    return list((pool._processes or {}).values())  # a public way comes with Python 3.14
+    return list((pool._processes or {}).values())  # Python 3.14 has a public function for it
 
 
 def _kill(pool: ProcessPoolExecutor) -> None:
@@ -168,19 +168,19 @@ def _result(future: Future[Done], task: Task) -> Done:
     try:
         return future.result()
     except BrokenProcessPool:
-        what = "a process ended before its time, perhaps for want of memory; run it again with fewer --jobs"
+        what = "a process ended unexpectedly, perhaps because of too little memory; run it again with fewer --jobs"
         return Done(Row(task.name, NOT_ADJUSTED, problem=what), Code.UNEXPECTED, what)
 
 
 def _set_up(jobs: int) -> None:
-    """In a worker: Ctrl-C is the parent's business, and whoever ends the worker shall not leave half a report."""
+    """Set-up of a worker: the parent handles Ctrl-C, and the end of a worker must not leave a half-written report."""
     signal.signal(signal.SIGINT, signal.SIG_IGN)
     signal.signal(signal.SIGTERM, lambda *_: sys.exit(1))
     runtime.start(processes=jobs)
 
 
 def _require_place(folder: Path) -> None:
-    """Raises an OSError where the table cannot be written, or would overwrite what is not such a table."""
+    """Raises an OSError if the table cannot be written, or would overwrite another file."""
     require_writable(folder, [], 0)
     table = folder / TABLE
     if os.path.lexists(table) and not _is_table(table):
@@ -196,7 +196,7 @@ def _is_table(path: Path) -> bool:
 
 
 def _write(file: Path, tasks: Sequence[Task], rows: Sequence[Row]) -> None:
-    """The table of all, never half of it."""
+    """Writes the table of all paths, never half-written."""
 
     def texts(values: Sequence[object]) -> list[str]:
         return ["" if value is None else " ".join(str(value).split()) for value in values]

@@ -1,1 +1,1 @@
-"""What is wrong and who causes it: of a block before its adjustment, and of an adjustment."""
+"""Finding problems and their causes, in a block before its adjustment and in an adjustment."""

@@ -1,4 +1,4 @@
-"""Everything that is found about an adjustment, in the order of a report."""
+"""All findings about an adjustment, in the order of a report."""
 
 import dataclasses
 
@@ -17,9 +17,9 @@ from jaxbundle.solve.adjustment import Adjustment, Status
 from jaxbundle.solve.verdict import BEYOND_USE
 from jaxbundle.statistics.suspects import find_suspects
 
-NO_ERRORS = 1e-6  # sigma0 of observations that have none: residuals are rounding
+NO_ERRORS = 1e-6  # sigma0 of observations without errors: residuals are rounding errors
 CAUSES = (Kind.FORMAT, Kind.INTERIOR, Kind.CONTROL_SYSTEM, Kind.START, Kind.SYSTEMATIC, Kind.SUSPECT)
-MISLEADING = (  # residuals of such a block accuse the innocent
+MISLEADING = (  # sigma0: above this, large residuals also occur at correct observations
     Kind.FORMAT,
     Kind.INTERIOR,
     Kind.CONTROL_SYSTEM,
@@ -32,10 +32,10 @@ MISLEADING = (  # residuals of such a block accuse the innocent
 
 
 def findings(adjustment: Adjustment, start: Block | None = None) -> tuple[Finding, ...]:
-    """What is wrong with a concrete adjustment or should be looked at: what forbids its use first, then causes before
+    """Returns the findings about a concrete adjustment. Findings that forbid its use come first; causes precede
     consequences.
 
-    `start`: the block as it was given to the adjustment; with it, what kept the block from converging is looked for.
+    `start`: the block before the adjustment; if given, the causes of a failed convergence are searched for.
     """
     found = [*adjustment.findings, *robust_findings(adjustment)]
     told = () if of_kind(adjustment.failures, *MISLEADING) else _of_residuals(adjustment)
@@ -54,17 +54,17 @@ def findings(adjustment: Adjustment, start: Block | None = None) -> tuple[Findin
 
 
 def _explain(told: tuple[Finding, ...]) -> bool:
-    """Whether the culprits that the residuals tell leave a block that fits; else something else has made them."""
+    """Whether the block fits without the suspects; otherwise another cause made their residuals large."""
     fit = [f.size for f in of_kind(told, Kind.GLOBAL_TEST, Kind.SIGMAS)]
     return bool(of_kind(told, Kind.SUSPECT, Kind.SYSTEMATIC)) and max(fit, default=0.0) <= BEYOND_USE
 
 
 def _explained(found: list[Finding]) -> list[Finding]:
-    """Where nothing fits and a cause is known, that is what is wrong, and what is to be cured."""
+    """If nothing fits and a cause is known, this cause is the problem, and its cure the cure."""
     if not of_kind(found, Kind.NOT_CONVERGED, Kind.SIGMA0) or not of_kind(found, *CAUSES):
         return found
     return [
-        dataclasses.replace(finding, cure="cure first what is named before")
+        dataclasses.replace(finding, cure="first cure the problems above")
         if finding.kind is Kind.NOT_CONVERGED
         else dataclasses.replace(finding, grade=Severity.FAILED)
         if finding.kind in CAUSES
@@ -74,7 +74,7 @@ def _explained(found: list[Finding]) -> list[Finding]:
 
 
 def _of_residuals(adjustment: Adjustment) -> tuple[Finding, ...]:
-    """Suspects and sigmas; robust weights make residuals small by themselves."""
+    """Findings about suspects and sigmas; not after a robust adjustment, whose weights reduce residuals."""
     quiet = adjustment.reweighting is not None or float(adjustment.sigma0) < NO_ERRORS
     if quiet or adjustment.status is not Status.CONVERGED:
         return ()

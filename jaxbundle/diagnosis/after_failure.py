@@ -1,9 +1,10 @@
-"""What is wrong where an adjustment did not converge, or ended with residuals beyond any use.
+"""Causes of an adjustment that did not converge, or that ended with unusable residuals.
 
-A gross error of control bends and turns a block until nothing fits: final residuals say little. So control is first
-observed so loosely that the rays decide on the shape of the block, and reweighted by its residuals until those that
-agree carry the block (an estimate of least sums, Krarup, Juhl, Kubik 1980); what then stands far off is held back, and
-the block is adjusted again as it was. What lets it converge is named, with the size of its error.
+A gross error of control bends and rotates a block until nothing fits, so the final residuals are not conclusive.
+Therefore control is first observed with such large sigmas that the rays determine the shape of the block. It is
+reweighted by its residuals until the consistent points determine the datum (an estimate of least sums, Krarup, Juhl,
+Kubik 1980). Points that are then far off are left out, and the original block is adjusted again. If it converges, these
+points are named, with the size of their errors.
 """
 
 import equinox as eqx
@@ -13,7 +14,7 @@ from jaxtyping import Bool, Float, Int
 from jaxbundle.block.block import Block
 from jaxbundle.block.changes import without_component
 from jaxbundle.block.findings import Finding, Kind, Subject
-from jaxbundle.block.observations import CONTROL
+from jaxbundle.block.observation_kinds import CONTROL
 from jaxbundle.block.wording import counted, named
 from jaxbundle.diagnosis.exchanged_control import exchanged_control
 from jaxbundle.diagnosis.observed_control import (
@@ -29,20 +30,20 @@ from jaxbundle.diagnosis.wrong_rays import wrong_rays
 from jaxbundle.numerics.host import on_device, on_host
 from jaxbundle.solve.adjustment import Adjustment, Status
 
-ABSURD = 10.0  # sigma0 at which residuals are beyond any use
-CURED = 0.3  # of sigma0, left without what is named
-ROUNDS = 4  # of reweighting: residuals of what is wrong grow to their errors
+ABSURD = 10.0  # sigma0 above which residuals are unusable
+CURED = 0.3  # maximum share of sigma0 that remains without the named points
+ROUNDS = 4  # rounds of reweighting: residuals of wrong points grow to their errors
 OUTLYING = 6.0  # times the median distance of the others
-SIDE_EFFECT = 0.05  # of the largest error: below, a point may have been bent
-NO_WEIGHT = 1e9  # sigma in the object unit, of a point that is as good as not observed
-EXTREME = 1e-4  # of the median sigma: an observation that weighs 10^8 times the others
+SIDE_EFFECT = 0.05  # share of the maximum error: below this a point may be displaced by other errors
+NO_WEIGHT = 1e9  # sigma in the object unit, of a point that is practically not observed
+EXTREME = 1e-4  # share of the median sigma: the weight is 10^8 times that of the others
 
 
 def causes(start: Block, adjustment: Adjustment) -> tuple[Finding, ...]:
-    """What keeps a block from converging: observations of extreme weight, control points that contradict the others, or
-    else rays and images.
+    """Causes of a failed convergence: extreme weights, control points that contradict the others, or else
+    rays and images.
 
-    `start`: the block as it was given to the adjustment. Nothing is tried where the adjustment ended well.
+    `start`: the block before the adjustment. No cause is searched for after a successful adjustment.
     """
     ended_well = adjustment.status is Status.CONVERGED and float(adjustment.sigma0) <= ABSURD
     looked_at = start.concrete and start.structure.model.photographs
@@ -54,7 +55,7 @@ def causes(start: Block, adjustment: Adjustment) -> tuple[Finding, ...]:
 
 
 def _extreme_sigmas(block: Block) -> list[Finding]:
-    """Observations whose sigmas are far below those of their table."""
+    """Findings about observations whose sigmas are far below those of their table."""
     s = block.structure
     findings = []
     sigmas = np.asarray(block.rays.sigmas).min(1)
@@ -95,12 +96,12 @@ def _extreme_control(
         f"{counted(len(few), 'control point')} with a sigma of {least:.3g} {unit} against {typical:.3g} {unit} of the"
         f" others: {named(names)}"
     )
-    cure = "correct the sigma, or hold the point with sigma 0"
+    cure = "correct the sigma, or fix the point with sigma 0"
     return [Finding(Kind.SIGMAS, what, cure, tuple(Subject("control", (name,)) for name in names), float(least), unit)]
 
 
 def _wrong_control(start: Block, adjustment: Adjustment) -> list[Finding]:
-    """Control points without which the block converges."""
+    """Findings about control points without which the block converges."""
     control = as_observed(start)
     if control is None or len(control.point) < LEAST:
         return []
@@ -112,7 +113,7 @@ def _wrong_control(start: Block, adjustment: Adjustment) -> list[Finding]:
         return []
     error = np.linalg.norm(_errors(control, without), axis=1)
     large = wrong & (error > SIDE_EFFECT * error[wrong].max())
-    if (large != wrong).any():  # innocent points that were bent by the large errors
+    if (large != wrong).any():  # correct points that the large errors displaced
         again = tried(_held_back(control, large))
         if again is not None and float(again.sigma0) <= ABSURD:
             wrong, without = large, again
@@ -123,7 +124,7 @@ def _wrong_control(start: Block, adjustment: Adjustment) -> list[Finding]:
 
 
 def _far_off(control: ObservedControl) -> Bool[np.ndarray, " member"] | None:
-    """Control points that stand far off when the others agree."""
+    """Indices of control points that are far off when the others agree."""
     block, group = started_where_rays_meet(control.block), control.block.groups[control.group]
     observed, values = group.structure.observed, np.asarray(group.values)
     sigma = np.full(len(values), LOOSE * depth(block))
@@ -162,14 +163,14 @@ def _held_back(control: ObservedControl, wrong: Bool[np.ndarray, " member"]) -> 
 
 
 def _errors(control: ObservedControl, found: Adjustment) -> Float[np.ndarray, "member 3"]:
-    """Given less adjusted coordinates, 0 where nothing is given."""
+    """Given - adjusted coordinates, 0 where not given."""
     group = control.block.groups[control.group]
     error = np.asarray(group.values) - on_host(found.block.object_points)[control.point]
     return np.where(group.structure.observed, error, 0.0)
 
 
 def _named(start: Block, control: ObservedControl, wrong: Bool[np.ndarray, " member"], without: Adjustment) -> Finding:
-    """The control points that were held back, with their errors."""
+    """The finding about the control points that were left out, with their errors."""
     s, members = start.structure, np.flatnonzero(wrong)
     error = _errors(control, without)[members]
     size = np.linalg.norm(error, axis=1)

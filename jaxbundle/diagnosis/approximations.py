@@ -1,7 +1,7 @@
-"""Approximate orientations against the points: what of them is absurd, and what was confused.
+"""Checking approximate orientations against the points: absurd values and confusions.
 
-The reference are the points as a checked start has them. A confusion (kappa turned, angles in another unit, Z0 of
-opposite sign) is named for all images that it explains, each far better than as given.
+The reference are the points of a checked start. A confusion (kappa rotated, angles in another unit, Z0 with opposite
+sign) is named for all images that it explains, if it fits each of them far better than the given values.
 """
 
 import numpy as np
@@ -20,23 +20,23 @@ from jaxbundle.orientation.alternatives import (
     of_both,
     of_stations,
 )
+from jaxbundle.orientation.checked_start import CheckedStart
 from jaxbundle.orientation.sight import HALF, Sight, mostly_beyond, off, only, relative_off
-from jaxbundle.orientation.start import CheckedStart
 
-MOST = 0.5  # share of an image's rays with the point behind it, from which on it is named
-FEW_BEHIND = 0.01  # share of all rays: real blocks have some far or wrong points behind
-ALIKE = 2.0  # times the angles off under the best cause: causes that are named together
+MOST = 0.5  # an image is named if the point is behind it for this share of its rays
+FEW_BEHIND = 0.01  # share of all rays: real blocks have some distant or wrong points behind images
+ALIKE = 2.0  # times the angular misfit of the best cause: up to this, causes are named together
 MOST_CAUSES = 2
-ONE_PLACE = 1e-9  # of the coordinates
-LEAST_KNOWN = 4  # rays of control that tell a mirrored system without other points
+ONE_PLACE = 1e-9  # tolerance of the coordinates
+LEAST_KNOWN = 4  # minimum number of rays of control to detect a mirrored system without other points
 
 
 def mirrored_finding(block: Block, sight: Sight) -> Finding | None:
-    """Image coordinates that are mirrored, or an object system that is left-handed."""
+    """The finding about mirrored image coordinates, or a left-handed object system."""
     found = mirrored(sight)
     known = sight.is_known
     if found is None and known[sight.point].sum() >= LEAST_KNOWN and not known.all():
-        alone = only(sight, known[sight.point])  # other points may be intersected in a mirrored world
+        alone = only(sight, known[sight.point])  # other points may be intersected in a mirrored system
         found = mirrored(alone)
     if found is None:
         return None
@@ -49,17 +49,17 @@ def mirrored_finding(block: Block, sight: Sight) -> Finding | None:
         return Finding(Kind.CONTROL_SYSTEM, what, cure, images, float(now / max(then, 1e-12)))
     what = f"the rays {of_all} do not agree with their points; they would with {found.words} in the images"
     cure = {
-        "y": "px need y down from the top left corner, mm need y up: turn the sign of y",
-        "x": "the photos are read from the wrong side: turn the sign of x",
+        "y": "px need y down from the top left corner, mm need y up: change the sign of y",
+        "x": "the photos are read from the wrong side: change the sign of x",
     }.get(found.component, "exchange the columns x and y of rays.csv")
     subjects = (Subject("rays", (), "" if " " in found.component else found.component), *images)
     return Finding(Kind.FORMAT, what, cure, subjects)
 
 
 def start_findings(block: Block, given: Sight, checked: CheckedStart, told_points: set[str]) -> list[Finding]:
-    """What is absurd about the approximate values of the images, with the likely cause.
+    """Findings about absurd approximate values of the images, with the likely cause.
 
-    `told_points`: control that was found wrong already; its rays tell nothing of the images.
+    `told_points`: control that was already reported as wrong; its rays are not used.
     """
     reference = checked.sight
     sight = given._replace(points=reference.points)
@@ -79,7 +79,7 @@ def start_findings(block: Block, given: Sight, checked: CheckedStart, told_point
 
 
 def _confusions(block: Block, sight: Sight) -> list[tuple[str, Bool[np.ndarray, " image"], str]]:
-    """Alternatives that explain images, the one that explains most first."""
+    """Alternatives that explain images, in decreasing order of the number of images."""
     s = block.structure
     q = relative_off(sight, sight.believed)
     open_images = mostly_beyond(q, PLAIN, sight.image, len(s.image_names))
@@ -99,7 +99,7 @@ def _confusions(block: Block, sight: Sight) -> list[tuple[str, Bool[np.ndarray, 
         usual = [k for k in equal if alternatives[k].usual] or equal
         least = {k: _median(rest[k], explained[k]) for k in usual}
         best = min(usual, key=least.__getitem__)
-        alike = [k for k in usual if least[k] <= ALIKE * least[best]]  # a rough start cannot tell them apart
+        alike = [k for k in usual if least[k] <= ALIKE * least[best]]  # a rough start cannot distinguish them
         words = " or ".join(alternatives[k].words for k in alike[:MOST_CAUSES])
         found.append((words, explained[best], alternatives[best].component))
         open_images = open_images & ~explained[best]
@@ -130,7 +130,7 @@ def _unexplained(block: Block, sight: Sight, images: Bool[np.ndarray, " image"])
     angles = np.degrees(off(sight, sight.believed))
     worst = np.nan_to_num(np.array([np.median(angles[sight.image == k]) for k in np.flatnonzero(images)]), nan=180.0)
     what = (
-        f"{_whom(block, images)}: the rays pass their points by {np.median(worst):.3g} deg (median) at the approximate"
+        f"{_whom(block, images)}: the rays miss their points by {np.median(worst):.3g} deg (median) at the approximate"
         " orientation, and no resection agrees with them"
     )
     cure = "correct images.csv, or the names and coordinates of the points on these images"
@@ -140,19 +140,19 @@ def _unexplained(block: Block, sight: Sight, images: Bool[np.ndarray, " image"])
 
 
 def _one_place(block: Block) -> list[Finding]:
-    """All stations equal."""
+    """The finding that all stations are equal."""
     centres = np.asarray(block.exterior.projection_centre)
     if len(centres) < 2 or np.abs(centres - centres[0]).max() > ONE_PLACE * max(np.abs(centres).max(), 1e-300):
         return []
     place = ", ".join(f"{x:g}" for x in centres[0])
-    what = f"all {len(centres)} images have their approximate projection centre in one place ({place})"
+    what = f"all {len(centres)} images have the same approximate projection centre ({place})"
     return [
         Finding(Kind.START, what, "give each image its own X0, Y0, Z0", _subjects(block, np.ones(len(centres), bool)))
     ]
 
 
 def _behind(block: Block, sight: Sight, judged: Bool[np.ndarray, " ray"]) -> list[Finding]:
-    """Rays whose point lies behind the camera, and those that have no direction."""
+    """Findings about rays with their point behind the camera, or without a direction."""
     s = block.structure
     angle = off(sight, sight.believed)
     findings = []
@@ -177,7 +177,7 @@ def _behind(block: Block, sight: Sight, judged: Bool[np.ndarray, " ray"]) -> lis
 
 
 def two_roles(block: Block) -> list[Finding]:
-    """Check points that are control as well."""
+    """The finding about check points that are also control points."""
     s = block.structure
     control = {
         int(p)
@@ -191,5 +191,5 @@ def two_roles(block: Block) -> list[Finding]:
         return []
     what = f"{counted(len(names), 'point')} both control and check: {named(names)}"
     subjects = tuple(Subject("control", (name,)) for name in names)
-    cure = "a check point must not take part: give each point one role"
+    cure = "a check point must not be used in the adjustment: give each point one role"
     return [Finding(Kind.CONTROL_SYSTEM, what, cure, subjects, grade=Severity.CHECK)]

@@ -1,7 +1,7 @@
-"""What a block tells before it is adjusted: plausibility from its numbers alone, the likely cause and the cure.
+"""Checking a block before its adjustment: plausibility of its numbers, likely cause and cure.
 
 A cause is reported without its consequences: where the rays do not fit their format, or the principal distance is
-absurd, orientations and control are not judged by them.
+absurd, orientations and control are not checked with them.
 """
 
 import numpy as np
@@ -14,24 +14,24 @@ from jaxbundle.diagnosis.approximations import mirrored_finding, start_findings,
 from jaxbundle.diagnosis.image_format import format_findings
 from jaxbundle.diagnosis.interior import interior_findings
 from jaxbundle.diagnosis.systems import control_findings
+from jaxbundle.orientation.checked_start import FAR_SMALLER, ROUGH_FIT, CheckedStart, checked_start
 from jaxbundle.orientation.from_nothing import with_images_replaced
 from jaxbundle.orientation.replaced import replaced_images
 from jaxbundle.orientation.sight import medians, relative_off, sight_of
-from jaxbundle.orientation.start import FAR_SMALLER, ROUGH_FIT, CheckedStart, checked_start
 from jaxbundle.orientation.start_findings import found_orientations
 
 
 def plausibility(block: Block) -> tuple[Finding, ...]:
-    """What is implausible about the numbers of a concrete block, by severity, causes first."""
+    """Findings about implausible numbers of a concrete block, by severity, causes first."""
     return prepared(block)[1] if block.concrete else ()
 
 
 def prepared(block: Block) -> tuple[Block, tuple[Finding, ...]]:
-    """The block with a start that is checked, and all that was found: implausible numbers, and what was replaced.
+    """The block with checked approximate values, and findings about implausible numbers and replaced values.
 
-    Orientations that are not given are found from the rays, and absurd ones that no resection replaces.
+    Orientations that are not given are computed from the rays, and so are absurd ones that no resection replaces.
 
-    Approximate values are replaced only where the numbers they are judged by are plausible themselves.
+    Approximate values are replaced only where the numbers used for the check are plausible.
     """
     if not block.concrete or not len(block.structure.ray_image) or not block.structure.model.photographs:
         return block, ()

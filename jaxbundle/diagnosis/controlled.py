@@ -1,4 +1,4 @@
-"""What the redundancy says: observations that nothing controls, points on two images, too little of it altogether."""
+"""Findings from the redundancy: uncontrolled observations, points on two images, too small total redundancy."""
 
 import numpy as np
 from jaxtyping import Bool
@@ -7,16 +7,16 @@ from jaxbundle.block.findings import Finding, Kind, Severity, Subject
 from jaxbundle.block.wording import are, counted, figure, named
 from jaxbundle.diagnosis.rays_in_words import ray_name, ray_subject
 from jaxbundle.solve.adjustment import Adjustment
-from jaxbundle.statistics.reliability import UNCONTROLLED, reliability
+from jaxbundle.statistics.reliability_tables import UNCONTROLLED, reliability
 from jaxbundle.statistics.snooping import describe
 
-FEW_RAYS = 8  # of an image: less than twice what its six unknowns need, and a margin of one point
-SMALL_REDUNDANCY = 10  # below, sigma0 and with it all standard deviations are uncertain by more than 22 %
-NOTHING = 1e-6  # redundancy number of an observation that alone determines something
+FEW_RAYS = 8  # rays of an image: twice the number for its six unknowns, and a margin of one point
+SMALL_REDUNDANCY = 10  # below this sigma0, and all standard deviations with it, are uncertain by more than 22 %
+NOTHING = 1e-6  # redundancy number of an observation that is necessary to determine an unknown
 
 
 def controlled_findings(adjustment: Adjustment) -> tuple[Finding, ...]:
-    """Small redundancy, uncontrolled rays and other observations, points on two images."""
+    """Findings about small redundancy, uncontrolled rays and other observations, and points on two images."""
     found = [*_redundancy(adjustment)]
     if adjustment.redundancy_numbers is not None and not adjustment.undetermined:
         found += [*_rays(adjustment), *_others(adjustment)]
@@ -24,17 +24,17 @@ def controlled_findings(adjustment: Adjustment) -> tuple[Finding, ...]:
 
 
 def _redundancy(adjustment: Adjustment) -> list[Finding]:
-    """sigma0^2 has the relative variance 2 / r, sigma0 thus 1 / (2 r)."""
+    """The finding about a small redundancy r: the relative variance of sigma0^2 is 2 / r, of sigma0 1 / (2 r)."""
     r = adjustment.redundancy
     if r >= SMALL_REDUNDANCY:
         return []
     share = 1 / np.sqrt(2 * r)
-    what = f"the redundancy is {r}: sigma0 and all standard deviations are uncertain by {share:.0%} themselves"
+    what = f"the redundancy is {r}: sigma0 and all standard deviations are uncertain by {share:.0%}"
     return [Finding(Kind.REDUNDANCY, what, "measure more, or judge precision by the cofactors and sigma0 = 1", size=r)]
 
 
 def _rays(adjustment: Adjustment) -> list[Finding]:
-    """Uncontrolled rays: those of points on two images apart from those of images with few rays."""
+    """Findings about uncontrolled rays, separate for points on two images and for images with few rays."""
     assert adjustment.redundancy_numbers is not None
     structure = adjustment.block.structure
     rays = np.flatnonzero((np.asarray(adjustment.redundancy_numbers[0]) < UNCONTROLLED).all(1))
@@ -49,8 +49,8 @@ def _rays(adjustment: Adjustment) -> list[Finding]:
         if len(chosen):
             listed = named([ray_name(structure, ray) for ray in chosen.tolist()])
             what = (
-                f"{counted(len(chosen), 'ray')} {are(len(chosen))} controlled by nothing else (redundancy numbers below"
-                f" {UNCONTROLLED:g}), a gross error there stays unseen: {listed}"
+                f"{counted(len(chosen), 'ray')} {are(len(chosen))} (almost) without redundancy (numbers below"
+                f" {UNCONTROLLED:g}), so a gross error would stay unnoticed: {listed}"
             )
             subjects = tuple(ray_subject(structure, ray) for ray in chosen.tolist())
             found.append(Finding(Kind.UNCONTROLLED, what, cure, subjects, len(chosen)))
@@ -58,7 +58,7 @@ def _rays(adjustment: Adjustment) -> list[Finding]:
 
 
 def _others(adjustment: Adjustment) -> list[Finding]:
-    """Uncontrolled members of each kind of observation, with the smallest error that would be seen."""
+    """Findings about uncontrolled members of each kind of observation, with the minimum detectable error."""
     tables, found = reliability(adjustment), []
     for k, group in enumerate(adjustment.block.groups, 1):
         r, observed = tables.redundancy_numbers[k], group.structure.observed
@@ -69,7 +69,7 @@ def _others(adjustment: Adjustment) -> list[Finding]:
 
 
 def _uncontrolled_group(adjustment: Adjustment, k: int, loose: Bool[np.ndarray, "member component"]) -> Finding:
-    """One finding for a kind; what nothing at all controls is to be looked at, the rest is good to know."""
+    """One finding for a kind; its severity is higher where nothing at all controls an observation."""
     tables = reliability(adjustment)
     r, mde = tables.redundancy_numbers[k][loose], tables.minimal_detectable[k][loose]
     places = np.argwhere(loose).tolist()
@@ -79,8 +79,8 @@ def _uncontrolled_group(adjustment: Adjustment, k: int, loose: Bool[np.ndarray, 
     listed = named([" - ".join(s.names) + (f" {s.component}" if s.component else "") for s in subjects])
     what = f"{counted(len(places), 'observation')} of {table.replace('_', ' ')} {are(len(places))}"
     if r.min() < NOTHING:
-        alone = f"{what} controlled by nothing, an error of any size stays unseen: {listed}"
-        return Finding(Kind.UNCONTROLLED, alone, "observe something more that checks them", subjects, np.inf)
+        alone = f"{what} without redundancy, an error of any size would stay unnoticed: {listed}"
+        return Finding(Kind.UNCONTROLLED, alone, "add observations that check them", subjects, np.inf)
     what += f" hardly controlled (redundancy numbers {figure(r.min(), 2)} to {figure(r.max(), 2)}): {listed}"
     return Finding(Kind.UNCONTROLLED, what, "", subjects, float(mde.max()), grade=Severity.NOTE)
 
@@ -92,7 +92,7 @@ def _seen_twice(adjustment: Adjustment) -> list[Finding]:
     if 2 * twice <= len(rays) or len(structure.image_names) < 3:
         return []
     what = (
-        f"{twice} of {len(rays)} points are on two images only: an error along the base moves such a point and shows in"
-        " no residual"
+        f"{twice} of {len(rays)} points are on two images only: an error along the base moves such a point and leaves"
+        " no residuals"
     )
     return [Finding(Kind.TWO_RAYS, what, "measure more points on three images", size=twice)]

@@ -1,4 +1,4 @@
-"""The suspect observations of an adjustment that converged, in words: the culprit first."""
+"""Findings about the suspect observations of a converged adjustment, the most probable error first."""
 
 from collections.abc import Callable, Iterable
 
@@ -8,9 +8,9 @@ from jaxbundle.block.findings import Finding, Kind, Subject
 from jaxbundle.statistics.hypotheses import Cause
 from jaxbundle.statistics.suspects import MOST, SHOWN, Suspects, Suspicion
 
-NAMED = 5  # suspicions with a finding of their own
-ALTERNATIVES = 3  # named in one finding
-SINGLE = {  # table -> a row of it
+NAMED = 5  # maximum number of suspicions with their own finding
+ALTERNATIVES = 3  # maximum number of names in one finding
+SINGLE = {  # table -> words for a row of it
     "rays": "the ray of point {1} on image {0}",
     "control": "control point {0}",
     "stations": "the station of image {0}",
@@ -40,7 +40,7 @@ CURES = {
 
 
 def findings_of_suspects(suspects: Suspects, sigma0: float) -> tuple[Finding, ...]:
-    """What is probably wrong with the observations: a finding for each of the first suspicions, and one that counts the
+    """Findings about probably wrong observations: one for each of the first suspicions, and one that counts the
     others. `sigma0`: of the adjustment."""
     named, rest = suspects.suspicions[:NAMED], suspects.suspicions[NAMED:]
     before = [sigma0, *(suspicion.sigma0_without for suspicion in named)]
@@ -49,9 +49,9 @@ def findings_of_suspects(suspects: Suspects, sigma0: float) -> tuple[Finding, ..
         at_least = "at least " if len(suspects.suspicions) >= MOST else ""
         one = len(rest) == 1 and not at_least
         count = f"{at_least}{len(rest)} more observation{' is' if one else 's are'} suspect"
-        what = f"{count}; without all that is suspect sigma0 is {suspects.sigma0:.3g}"
+        what = f"{count}; without all suspect observations sigma0 is {suspects.sigma0:.3g}"
         subjects = tuple(subject for suspicion in rest for subject in suspicion.subjects)
-        found.append(Finding(Kind.SUSPECT, what, "look at the first ones, and adjust again", subjects))
+        found.append(Finding(Kind.SUSPECT, what, "check the first ones, and adjust again", subjects))
     return tuple(found)
 
 
@@ -82,12 +82,12 @@ def _it(s: Suspicion) -> str:
 
 def _cure(s: Suspicion) -> str:
     if s.alternatives:
-        return "check all that are named here; the observations cannot tell them apart"
+        return "check all of them; the observations cannot distinguish between them"
     table = s.subjects[0].table
     if s.cause is Cause.SHIFT:
-        return "check datum, heights (ellipsoidal or levelled), units and offsets, or let a shift be estimated"
+        return "check datum, heights (ellipsoidal or levelled), units and offsets, or estimate a shift"
     if s.cause is Cause.IMAGE:
-        return "check resolution, format and principal distance of the camera they are given"
+        return "check resolution, format and principal distance of their camera"
     if s.cause is Cause.SCALE:
         return "check their unit and the reduction to the map"
     if s.cause is Cause.NAMES:
@@ -105,7 +105,7 @@ def _named(subject: Subject) -> str:
 
 
 def _either(s: Suspicion) -> str:
-    """The subject, or all that might be meant."""
+    """Words for the subject, or for all possible subjects."""
     own = _named(s.subjects[0])
     if not s.alternatives:
         return own
@@ -120,24 +120,24 @@ def _wrong_value(s: Suspicion) -> str:
 
 
 def _by(s: Suspicion) -> str:
-    """The size of the error, or why it is not told."""
+    """The size of the error, or the reason why it is unknown."""
     whose = f" {_named(s.subjects[0])}:" if s.alternatives else ""
     if np.isnan(s.error).all():
         part = f"{100 * s.shown:.1g} %" if s.shown > SHOWN / 1000 else "nothing"
-        return f" by an error whose size cannot be told (the residuals show {part} of it)"
+        return f" by an error of unknown size (the residuals contain {part} of it)"
     sizes = _sizes(zip(s.components, s.error, s.deviations, s.units, strict=True))
     return f" ({whose[1:]} {sizes})" if whose else f" by {sizes}"
 
 
 def _sizes(parts: Iterable[tuple[str, float, float, str]]) -> str:
-    """Such as "X +1.07 m (sd 0.06 m)"."""
+    """An error in words, such as "X +1.07 m (sd 0.06 m)"."""
     return ", ".join(
         f"{name} {_number(size, sd)}{_unit(unit)} (sd {sd:.1g}{_unit(unit)})" for name, size, sd, unit in parts
     )
 
 
 def _number(size: float, sd: float) -> str:
-    """To the digit that its standard deviation has."""
+    """A number rounded to the digits of its standard deviation."""
     if not sd > 0 or not np.isfinite(sd):
         return f"{size:+.3g}"
     digits = int(np.clip(-np.floor(np.log10(sd)), 0, 9))
@@ -173,4 +173,4 @@ def _scale(s: Suspicion) -> str:
 
 
 def _image(s: Suspicion) -> str:
-    return f"{_either(s)} do not fit to the other observations{_by(s).replace(' by ', ': ', 1)}"
+    return f"{_either(s)} do not fit the other observations{_by(s).replace(' by ', ': ', 1)}"

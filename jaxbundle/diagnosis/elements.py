@@ -1,4 +1,4 @@
-"""What the cofactors say of estimated elements of cameras and of parameters: weak, correlated or insignificant ones."""
+"""Findings about estimated elements of cameras and parameters: weak, highly correlated or insignificant ones."""
 
 import dataclasses
 
@@ -14,14 +14,14 @@ from jaxbundle.solve.adjustment import Adjustment
 from jaxbundle.statistics.significance import NEVER_ZERO, insignificant, tested_parameters
 
 HIGH_CORRELATION = 0.95
-SEVERAL = 3  # cameras with a finding of their own
-WEAK_DISTANCE = 0.01  # sd over principal distance: flying heights and depths are as uncertain as it
-CONVERGENT = 0.87  # cosine of 30 degrees between two camera axes: such a block has what separates c, x0, y0
+SEVERAL = 3  # maximum number of cameras with their own finding
+WEAK_DISTANCE = 0.01  # ratio of sd and principal distance: flying heights and depths have the same relative uncertainty
+CONVERGENT = 0.87  # cosine of 30 degrees between two camera axes: such convergence separates c, x0, y0
 TURNED = 0.5  # cosine of 60 degrees between the x axes of two photographs
 
 
 def element_findings(adjustment: Adjustment) -> tuple[Finding, ...]:
-    """Of cameras, then of parameters; none without standard deviations."""
+    """Findings about cameras, then about parameters; none without standard deviations."""
     if adjustment.cofactors is None:
         return ()
     return (
@@ -35,7 +35,7 @@ def element_findings(adjustment: Adjustment) -> tuple[Finding, ...]:
 
 
 def _together(found: list[Finding]) -> list[Finding]:
-    """Findings of one kind, one for each camera; of many cameras one, which tells the first of them."""
+    """Findings of one kind, one for each camera; one common finding for many cameras."""
     if len(found) <= SEVERAL:
         return found
     cameras = [finding.subjects[0].names[0] for finding in found[1:]]
@@ -49,7 +49,7 @@ def _undetermined(adjustment: Adjustment) -> set[Subject]:
 
 
 def _weak(adjustment: Adjustment) -> list[Finding]:
-    """Principal distances of which the standard deviation is a large share."""
+    """Findings about principal distances with a large standard deviation."""
     structure, found = adjustment.block.structure, []
     sd, values = np.asarray(adjustment.standard_deviations.interior), np.asarray(adjustment.block.interior.elements)
     for c, camera in enumerate(structure.cameras):
@@ -64,14 +64,14 @@ def _weak(adjustment: Adjustment) -> list[Finding]:
             f"principal_distance of camera {camera.name} is {figure(values[c, k], 6)} +- {figure(sd[c, k])} {unit}"
             f" ({share:.0%}): it is hardly separated from the distances of the stations to the points"
         )
-        cure = "hold it or give it a prior, or add control in relief or convergent images"
+        cure = "fix it or give it a prior, or add control in relief or convergent images"
         subject = Subject("cameras", (camera.name,), "principal_distance")
         found.append((share, Finding(Kind.WEAK, what, cure, (subject,), float(sd[c, k]), unit)))
     return [finding for _, finding in sorted(found, key=lambda pair: -pair[0])]
 
 
 def is_convergent(block: Block) -> bool:
-    """Whether some camera axes meet at more than 30 degrees and some photographs are turned about theirs."""
+    """Whether some camera axes intersect at more than 30 degrees and some photographs are rotated about their axes."""
     axes = viewing_directions(block)
     sideways = np.asarray(unknowns_of(block).rotation).reshape(3, 3, -1)[:, 0].T
     return bool((axes @ axes[0]).min() < CONVERGENT and np.abs(sideways @ sideways[0]).min() < TURNED)
@@ -80,7 +80,7 @@ def is_convergent(block: Block) -> bool:
 def _correlated_elements(adjustment: Adjustment) -> list[Finding]:
     """One finding for each camera with highly correlated elements."""
     structure, matrices = adjustment.block.structure, np.asarray(adjustment.interior_correlations)
-    add = "" if is_convergent(adjustment.block) else ", or add convergent and turned images"
+    add = "" if is_convergent(adjustment.block) else ", or add convergent and rotated images"
     found, undetermined = [], _undetermined(adjustment)
     for c, camera in enumerate(structure.cameras):
         free, names = np.flatnonzero(structure.interior_free[c]), camera.model.elements
@@ -93,12 +93,12 @@ def _correlated_elements(adjustment: Adjustment) -> list[Finding]:
             subjects = dict.fromkeys(Subject("cameras", (camera.name,), names[k]) for pair in pairs for k in pair)
             what = f"elements of camera {camera.name} are highly correlated: {listed}"
             size = float(matrices[c, pairs[0][0], pairs[0][1]])
-            found.append(Finding(Kind.CORRELATED, what, f"hold one of each pair{add}", tuple(subjects), size))
+            found.append(Finding(Kind.CORRELATED, what, f"fix one of each pair{add}", tuple(subjects), size))
     return sorted(found, key=lambda finding: -abs(finding.size))
 
 
 def correlations_of(covariance: Float[np.ndarray, "element element"]) -> Float[np.ndarray, "element element"]:
-    """Correlations of a covariance matrix; 0 where a variance is 0 or not known."""
+    """Correlations of a covariance matrix; 0 where a variance is 0 or unknown."""
     variance = np.diagonal(covariance)
     known = variance > 0
     scale = np.where(known, 1 / np.sqrt(np.where(known, variance, 1.0)), 0.0)
@@ -106,7 +106,7 @@ def correlations_of(covariance: Float[np.ndarray, "element element"]) -> Float[n
 
 
 def correlated_parameters(adjustment: Adjustment) -> list[tuple[str, str, float]]:
-    """Two parameters and their correlation, where it is high; the highest first."""
+    """Pairs of parameters with a high correlation, the highest first."""
     names = [parameter.name for parameter in adjustment.block.structure.parameters]
     if adjustment.cofactors is None or not names:
         return []
@@ -122,12 +122,12 @@ def _correlated_parameters(adjustment: Adjustment) -> list[Finding]:
         return []
     listed = named([f"{a} and {b} by {r:.3f}" for a, b, r in pairs])
     subjects = dict.fromkeys(Subject("parameters", (name,)) for a, b, _ in pairs for name in (a, b))
-    cure = "hold one of each pair, or give it a value with a sigma"
+    cure = "fix one of each pair, or give it a value with a sigma"
     return [Finding(Kind.CORRELATED, f"parameters are highly correlated: {listed}", cure, tuple(subjects), pairs[0][2])]
 
 
 def _insignificant_elements(adjustment: Adjustment) -> list[Finding]:
-    """Coefficients of each camera that may be held at 0, judged together."""
+    """Findings about coefficients of a camera that may be fixed at 0, tested together."""
     assert adjustment.cofactors is not None
     structure, found, undetermined = adjustment.block.structure, [], _undetermined(adjustment)
     variance = float(adjustment.sigma0) ** 2
@@ -166,11 +166,11 @@ def _insignificant_parameters(adjustment: Adjustment) -> list[Finding]:
 def _at_zero(names: list[str], owner: str, subjects: tuple[Subject, ...]) -> Finding:
     one = len(names) == 1
     what = f"{named(names)}{owner} {'is' if one else 'are together'} not significant (below 2 sd)"
-    return Finding(Kind.INSIGNIFICANT, what, f"hold {'it' if one else 'them'} at 0", subjects)
+    return Finding(Kind.INSIGNIFICANT, what, f"fix {'it' if one else 'them'} at 0", subjects)
 
 
 def _loose_parameters(adjustment: Adjustment) -> list[Finding]:
-    """Parameters without a standard deviation that are not named as undetermined."""
+    """The finding about parameters without a standard deviation that are not reported as undetermined."""
     assert adjustment.cofactors is not None
     structure, undetermined = adjustment.block.structure, _undetermined(adjustment)
     variance = np.diagonal(np.asarray(adjustment.cofactors.parameters))
@@ -181,4 +181,4 @@ def _loose_parameters(adjustment: Adjustment) -> list[Finding]:
         return []
     listed = named([subject.names[0] for subject in subjects])
     what = f"{counted(len(subjects), 'parameter')} without a standard deviation: {listed}"
-    return [Finding(Kind.WEAK, what, "hold what has none, or give it a value with a sigma", subjects)]
+    return [Finding(Kind.WEAK, what, "fix these parameters, or give them a value with a sigma", subjects)]

@@ -1,9 +1,9 @@
-"""Principal distances that the flying height imitates.
+"""Detecting principal distances that are correlated with the flying height.
 
     r = C_cZ / sqrt(C_cc C_ZZ),    Z = mean of Z0 over the images of a camera
 
-Vertical images of flat terrain tell the scale c / (Z0 - Z) alone: c and Z0 grow together and leave no residual (Kraus
-2007, self-calibration). Relief, convergent images, or observed stations tell them apart.
+Vertical images of flat terrain determine only the scale c / (Z0 - Z): a common change of c and Z0 leaves no residuals
+(Kraus 2007, self-calibration). Relief, convergent images, or observed stations separate them.
 """
 
 import jax.numpy as jnp
@@ -15,11 +15,11 @@ from jaxbundle.block.depths import viewing_directions
 from jaxbundle.block.findings import Finding, Kind, Subject
 from jaxbundle.block.wording import figure
 from jaxbundle.solve.adjustment import Adjustment
-from jaxbundle.statistics.precision import covariance_of
+from jaxbundle.statistics.covariance import covariance_of
 
 HIGH_CORRELATION = 0.95
 VERTICAL = 0.966  # cosine of 15 degrees between a camera axis and the vertical
-CAMERAS = 3  # with a finding of their own: each image of a collection may have a camera
+CAMERAS = 3  # maximum number of findings: each image of a collection may have its own camera
 ELEMENT = "principal_distance"
 
 
@@ -57,7 +57,7 @@ def _vertical_cameras(block: Block) -> list[int]:
 def _distances_and_heights(
     block: Block, cameras: list[int], images: list[Int[np.ndarray, " image"]]
 ) -> Float[Array, "camera 2"]:
-    """c and mean Z0 of each camera."""
+    """Joint covariance of c and mean Z0 of each camera."""
     s, centres = block.structure, block.exterior.projection_centre
     places = [s.cameras[c].model.elements.index(ELEMENT) for c in cameras]
     distances = [block.interior.elements[c, k] for c, k in zip(cameras, places, strict=True)]
@@ -69,7 +69,7 @@ def _finding(block: Block, camera: int, r: float, images: int) -> Finding:
     name = block.structure.cameras[camera].name
     what = (
         f"{ELEMENT} of camera {name} and the mean Z0 of its {images} images are correlated by {figure(r, 3)}: vertical"
-        " images of such flat terrain hardly tell them apart, so each takes up errors of the other"
+        " images of such flat terrain hardly separate them, so each absorbs errors of the other"
     )
-    cure = "hold it or give it a prior, observe the stations, or add control in relief or convergent images"
+    cure = "fix it or give it a prior, observe the stations, or add control in relief or convergent images"
     return Finding(Kind.CORRELATED, what, cure, (Subject("cameras", (name,), ELEMENT),), r)

@@ -1,9 +1,10 @@
-"""Rays against the format of their camera: are they inside, and do they fill it?
+"""Checking whether the rays are inside the format of their camera, and whether they fill it.
 
 px cameras have their origin in the top left corner, x to the right, y down: inside is 0 <= x <= width and
 0 <= y <= height.
-Where rays are outside or in a sliver of the format, what people confuse is tried: the likely cause is what brings all
-inside. What a format cannot tell (mirrored coordinates, half resolution) the approximate orientations tell.
+Where rays are outside, or cover only a small part of the format, common confusions are tried: the likely cause is the
+one that puts all rays inside. Approximate orientations detect confusions that the format cannot show (mirrored
+coordinates, half resolution).
 """
 
 import dataclasses
@@ -21,16 +22,16 @@ from jaxbundle.numerics.host import on_device
 from jaxbundle.orientation.alternatives import explains, left
 from jaxbundle.orientation.sight import sight_of
 
-MARGIN = 0.01  # of the format: marks on the border of scanned film lie a little outside
-FEW = 0.01  # share of rays outside that may be single errors of measurement
-SLIVER = 0.1  # of width and of height: blocks fill more, of ten rays and more
+MARGIN = 0.01  # share of the format: marks on the border of scanned film lie slightly outside
+FEW = 0.01  # maximum share of rays outside that are treated as single errors
+SLIVER = 0.1  # share of width and of height: blocks with at least ten rays fill more
 LEAST_RAYS = 10
-HALF_FULL = (0.25, 0.5 + 2 * MARGIN)  # of the format, reached by the rays of an image of half resolution
+HALF_FULL = (0.25, 0.5 + 2 * MARGIN)  # share of the format that rays of an image of half resolution can reach
 Coordinates = Float[np.ndarray, "ray 2"]
 
 
 class _Format(NamedTuple):
-    """Size in px and, in mm, of a pixel (0 if unknown)."""
+    """The format of a camera in px, and the size of a pixel in mm (0 if unknown)."""
 
     camera: int
     width: float
@@ -47,7 +48,7 @@ class _Format(NamedTuple):
 
 
 def format_findings(block: Block) -> list[Finding]:
-    """Rays outside of their format, and those that fill a sliver of it."""
+    """Findings about rays outside their format, and rays that cover only a small part of it."""
     structure, xy = block.structure, np.asarray(block.rays.coordinates)
     camera = structure.image_camera[structure.ray_image] if len(structure.ray_image) else np.zeros(0, int)
     findings = []
@@ -78,7 +79,7 @@ def _fills(form: _Format, xy: Coordinates) -> bool:
 
 
 def _of_camera(block: Block, form: _Format, rays: Int[np.ndarray, " ray"], xy: Coordinates) -> list[Finding]:
-    """Findings of one camera: a cause for all of its rays, or single rays."""
+    """Findings about one camera: a common cause for all its rays, or single rays."""
     camera = block.structure.cameras[form.camera].name
     outside = _outside(form, xy)
     sliver = len(rays) >= LEAST_RAYS and not _fills(form, xy)
@@ -88,7 +89,7 @@ def _of_camera(block: Block, form: _Format, rays: Int[np.ndarray, " ray"], xy: C
     subject = (Subject("cameras", (camera,)),)
     if count <= FEW * len(rays) and not sliver:
         return [_single(block, form, rays[outside])]
-    where = f"{count} of {len(rays)} rays lie outside of the format {form.words} of camera {camera}"
+    where = f"{count} of {len(rays)} rays lie outside the format {form.words} of camera {camera}"
     if not count:
         extent = " x ".join(f"{x:.4g}" for x in np.ptp(xy, axis=0))
         where = f"the {len(rays)} rays of camera {camera} fill {extent} of its {form.words}"
@@ -117,13 +118,13 @@ def _single(block: Block, form: _Format, rays: Int[np.ndarray, " ray"]) -> Findi
     listing = named(
         [f"point {point} on image {image} by {far[k]:.4g} px" for (image, point), k in zip(names, order, strict=True)]
     )
-    what = f"{counted(len(rays), 'ray')} outside of the format {form.words}: {listing}"
+    what = f"{counted(len(rays), 'ray')} outside the format {form.words}: {listing}"
     subjects = tuple(Subject("rays", name) for name in names)
-    return Finding(Kind.FORMAT, what, "measure again or drop", subjects, float(far.max()), "px", Severity.CHECK)
+    return Finding(Kind.FORMAT, what, "re-measure or remove", subjects, float(far.max()), "px", Severity.CHECK)
 
 
 def _causes(block: Block, form: _Format) -> list[tuple[str, str, Callable[[Coordinates], Coordinates]]]:
-    """What may have been confused: words, cure and the coordinates as they would be."""
+    """Possible confusions: words, cure and the corrected coordinates."""
     half = form.size / 2
     first = _exchanged_first(block, form)
     exchange = [
@@ -163,7 +164,7 @@ def _either(rays: tuple, form: tuple) -> tuple:
 
 
 def _exchanged_first(block: Block, form: _Format) -> str:
-    """Which of two exchanges makes the rays agree with the approximate orientations: a format cannot tell."""
+    """Selects the exchange for which the rays agree with the approximate orientations, as the format cannot decide."""
     images = block.structure.image_camera == form.camera
     exchanged = eqx.tree_at(lambda b: b.rays.coordinates, block, on_device(np.asarray(block.rays.coordinates)[:, ::-1]))
     elements = np.array(block.interior.elements)
@@ -180,7 +181,7 @@ def _exchanged_first(block: Block, form: _Format) -> str:
 
 
 def _half_resolution(block: Block, form: _Format, rays: Int[np.ndarray, " ray"], xy: Coordinates) -> list[Finding]:
-    """Images all of whose rays lie in the upper left quarter and would agree with their points at twice the size."""
+    """Finding about images with all rays in the upper left quarter that would agree at twice the size."""
     s = block.structure
     image = s.ray_image[rays]
     extent = np.zeros((len(s.image_names), 2))
@@ -202,5 +203,5 @@ def _half_resolution(block: Block, form: _Format, rays: Int[np.ndarray, " ray"],
         f"the rays of {counted(len(names), 'image')} lie in a quarter of the format {form.words} of camera {camera} and"
         f" would agree with their points at twice the size: {named(names)}"
     )
-    cure = "give images of another resolution a camera of their own"
+    cure = "give images of another resolution their own camera"
     return [Finding(Kind.FORMAT, what, cure, tuple(Subject("images", (name,)) for name in names))]

@@ -1,6 +1,6 @@
-"""Principal distance against the format: the field angle of a camera tells a wrong unit.
+"""Checking the principal distance by the field angle of the camera, which reveals a wrong unit.
 
-The field angle is 2 arctan(d / 2c) with the diagonal d of the format; where the format is not known, of the rays.
+The field angle is 2 arctan(d / 2c) with the diagonal d of the format; where the format is unknown, of the rays.
 """
 
 import math
@@ -12,13 +12,13 @@ from jaxbundle.block.block import Block, Camera
 from jaxbundle.block.findings import Finding, Kind, Severity, Subject
 
 PLAUSIBLE = (10.0, 150.0)  # deg, across the diagonal: from a telephoto lens to a superwide one
-POSSIBLE = (1.0, 165.0)  # deg: no image equation with a plane image serves beyond
-LIKELY = (20.0, 125.0)  # deg, of a cause that is named: cameras for measurement
-EXTENT = 95.0  # percent of the rays that tell the format where it is not given
+POSSIBLE = (1.0, 165.0)  # deg: maximum for image equations with a plane image
+LIKELY = (20.0, 125.0)  # deg, limits for a named cause: cameras for measurement
+EXTENT = 95.0  # percentile of the rays that estimates the format where it is not given
 
 
 def interior_findings(block: Block) -> list[Finding]:
-    """Cameras whose principal distance does not fit their format."""
+    """Findings about cameras whose principal distance does not fit their format."""
     camera_of_ray = block.structure.image_camera[block.structure.ray_image]
     findings = [_of_camera(block, k, np.flatnonzero(camera_of_ray == k)) for k in range(len(block.structure.cameras))]
     return [finding for finding in findings if finding is not None]
@@ -52,13 +52,13 @@ def _of_camera(block: Block, k: int, rays: Int[np.ndarray, " ray"]) -> Finding |
 
 
 def _is_alike(block: Block, c: float) -> bool:
-    """Whether other cameras have a principal distance like this one: every image of a collection has a camera."""
+    """Whether other cameras have a similar principal distance, as in collections with one camera for each image."""
     others = np.asarray(block.interior.elements)[:, 0]
     return len(others) > 2 and bool(0.1 < c / np.median(others) < 10)
 
 
 def _diagonal(block: Block, camera: Camera, values: dict[str, float], rays: Int[np.ndarray, " ray"]) -> float:
-    """Of the format, else of the rays; unit of the rays."""
+    """Diagonal of the format, else of the rays, in the unit of the rays."""
     if camera.width and camera.height and camera.image_unit == "px":
         return math.hypot(camera.width, camera.height)
     xy = np.asarray(block.rays.coordinates)[rays] - [values.get("x0", 0.0), values.get("y0", 0.0)]
@@ -70,7 +70,7 @@ def _field(diagonal: float, c: float) -> float:
 
 
 def _cause(camera: Camera, c: float, pixel: float, diagonal: float) -> str:
-    """What the number would be in another unit, if that is likely."""
+    """The number in another unit, if that is likely."""
     metric = camera.metric and pixel > 0
     tries = [
         ("pixel_size in micrometres: divide it by 1000", diagonal / 1000, c, metric and pixel >= 0.5),

@@ -8,7 +8,7 @@ import numpy as np
 from jaxtyping import Int
 
 from jaxbundle.block.block import Block
-from jaxbundle.block.observations import CONTROL, observation_group
+from jaxbundle.block.observation_kinds import CONTROL, observation_group
 from jaxbundle.block.problems import BlockError
 from jaxbundle.numerics.host import on_device
 from jaxbundle.orientation.sight import intersected, photo_vectors, sight_of

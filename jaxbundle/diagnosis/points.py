@@ -1,4 +1,4 @@
-"""Object points: those whose distance the rays hardly determine, and check points that tell another accuracy."""
+"""Findings about object points with a hardly determined distance, and check points that contradict the precision."""
 
 import numpy as np
 from jaxtyping import Float
@@ -7,13 +7,13 @@ from jaxbundle.block.findings import Finding, Kind, Severity, Subject
 from jaxbundle.block.wording import are, counted, figure, named
 from jaxbundle.solve.adjustment import Adjustment
 
-FAR = 0.3  # sd over distance from the camera: rays of such a point are parallel but for their errors
+FAR = 0.3  # ratio of sd and distance from the camera: the rays of such a point are parallel within their errors
 OFF = 4.0  # standard deviations of a difference at a check point; normal errors exceed it once in 16 thousand
-ARBITRARY = ("minimal", "inner")  # datums that have nothing to do with the coordinates of check points
+ARBITRARY = ("minimal", "inner")  # datums without a relation to the coordinates of check points
 
 
 def point_findings(adjustment: Adjustment) -> tuple[Finding, ...]:
-    """Points of hopeless distance, and check points."""
+    """Findings about points with undetermined distance, and about check points."""
     return (*_far(adjustment), *_check_points(adjustment))
 
 
@@ -32,15 +32,15 @@ def _far(adjustment: Adjustment) -> list[Finding]:
     listed = named([f"{structure.point_names[p]} (sd {figure(sd[p])} {unit})" for p in far])
     what = (
         f"{counted(len(far), 'point')} {are(len(far))} known to no better than {FAR:.0%} of the distance from the"
-        f" camera, as the rays are all but parallel: {listed}"
+        f" camera, as their rays are almost parallel: {listed}"
     )
-    cure = "do not use these points: measure them on an image from elsewhere or drop them"
+    cure = "do not use these points: measure them on an image from a different position or drop them"
     subjects = tuple(Subject("points", (structure.point_names[p],)) for p in far)
     return [Finding(Kind.WEAK, what, cure, subjects, float(sd[far[0]]), unit)]
 
 
 def _distance_to_nearest_camera(adjustment: Adjustment) -> Float[np.ndarray, " point"]:
-    """0 for a point on no image."""
+    """Distance of each point from its camera; 0 for a point on no image."""
     structure = adjustment.block.structure
     points, centres = (
         np.asarray(x) for x in (adjustment.block.object_points, adjustment.block.exterior.projection_centre)
@@ -52,7 +52,7 @@ def _distance_to_nearest_camera(adjustment: Adjustment) -> Float[np.ndarray, " p
 
 
 def check_point_ratios(adjustment: Adjustment) -> Float[np.ndarray, "check 3"]:
-    """Differences over their standard deviations, those of the known coordinates included; NaN where not known."""
+    """Differences divided by their standard deviations, including those of the known coordinates; NaN if unknown."""
     check = adjustment.block.structure.check_point
     known = np.asarray(adjustment.block.check_points.sigmas)
     sd = np.asarray(adjustment.standard_deviations.object_points)[check]
@@ -65,9 +65,7 @@ def _check_points(adjustment: Adjustment) -> list[Finding]:
     if not len(structure.check_point):
         return []
     if structure.datum.kind in ARBITRARY:
-        what = (
-            f"the datum is arbitrary ({structure.datum.kind}): differences at check points say nothing about accuracy"
-        )
+        what = f"the datum is arbitrary ({structure.datum.kind}): differences at check points do not measure accuracy"
         return [Finding(Kind.CHECK_POINTS, what, "define the datum by control", grade=Severity.NOTE)]
     if adjustment.cofactors is None:
         return []

@@ -1,4 +1,4 @@
-"""What robust weights tell: rays that lost theirs, and weights that did not settle."""
+"""Findings about robust weights: rays that lost their weight, and weights that did not converge."""
 
 import numpy as np
 
@@ -9,7 +9,7 @@ from jaxbundle.solve.adjustment import DOWN_WEIGHTED, Adjustment
 
 
 def robust_findings(adjustment: Adjustment) -> tuple[Finding, ...]:
-    """None of an adjustment by least squares."""
+    """Findings about the robust weights of an adjustment; none for least squares."""
     robust, structure = adjustment.reweighting, adjustment.block.structure
     if robust is None:
         return ()
@@ -20,7 +20,7 @@ def robust_findings(adjustment: Adjustment) -> tuple[Finding, ...]:
         listed = named([f"{ray_name(structure, ray)} ({weights[ray]:.2g})" for ray in low.tolist()])
         have = "has" if len(low) == 1 else "have"
         what = f"{counted(len(low), 'ray')} {have} a robust weight below {DOWN_WEIGHTED:g}: {listed}"
-        cure = "measure them again or drop those with gross errors, and adjust by least squares"
+        cure = "re-measure them or remove those with gross errors, and adjust by least squares"
         subjects = tuple(ray_subject(structure, ray) for ray in low.tolist())
         found.append(Finding(Kind.DOWN_WEIGHTED, what, cure, subjects, len(low)))
     if not robust.settled:

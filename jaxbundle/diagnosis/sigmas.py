@@ -1,12 +1,12 @@
-"""Whether the sigmas given agree with the residuals: the global test, and the factor of each group.
+"""Checking whether the given sigmas agree with the residuals: the global test, and the factor of each group.
 
     sigma0 = sqrt(v^T P v / (M - N))            between the roots of chi-square / (M - N), two-sided
-    factor = sqrt(sum v^2 P / sum r)            of a group: what its sigmas must be multiplied by
+    factor = sqrt(sum v^2 P / sum r)            of a group: the factor for its sigmas
 
-A group differs from the others where the ratio of its factor^2 to that of all other observations lies outside of the
-limits of Fisher's F.
+A group differs from the others where the ratio of its factor^2 to that of all other observations is outside the limits
+of Fisher's F.
 
-With sigmas that are right, sigma0 lies between its limits in 95 of 100 adjustments (Kraus 2007, app. 4.2). The factors
+With correct sigmas, sigma0 is between its limits in 95 of 100 adjustments (Kraus 2007, app. 4.2). The factors
 are absolute: sigmas multiplied by them agree with the residuals (Foerstner 1979, first step).
 """
 
@@ -17,16 +17,16 @@ from scipy.special import chdtri, fdtrc
 
 from jaxbundle.block.findings import Finding, Kind, Subject
 from jaxbundle.solve.adjustment import Adjustment
-from jaxbundle.statistics.reliability import redundancy_numbers
+from jaxbundle.statistics.reliability_tables import redundancy_numbers
 from jaxbundle.statistics.subsets import three_groups
 
 LEVEL = 0.05
-FEW = 3.0  # redundancy: a group of less says nothing of its sigma
-GROUP_LEVEL = 0.01  # of all groups together, for factors that differ from those of the other observations
+FEW = 3.0  # minimum redundancy of a group for a statement about its sigma
+GROUP_LEVEL = 0.01  # level of all groups together, for factors that differ from those of the other observations
 
 
 class GlobalTest(NamedTuple):
-    """sigma0 and the limits between which it should lie."""
+    """The global test: sigma0 and its limits."""
 
     sigma0: float
     lower: float
@@ -39,7 +39,7 @@ class GlobalTest(NamedTuple):
 
 
 class GroupFactor(NamedTuple):
-    """A group of observations and what its sigmas should be multiplied by; `differs` from the rest of the block."""
+    """A group of observations and the factor for its sigmas; `differs`: whether it differs from other groups."""
 
     name: str
     redundancy: float
@@ -54,7 +54,7 @@ def global_test(sigma0: float, redundancy: int) -> GlobalTest:
 
 
 def group_factors(adjustment: Adjustment) -> list[GroupFactor]:
-    """The factors of the groups of observations that have enough redundancy to tell one.
+    """The factors of the groups of observations with sufficient redundancy.
 
     Raises: ValueError where the adjustment has no redundancy numbers.
     """
@@ -79,9 +79,9 @@ def group_factors(adjustment: Adjustment) -> list[GroupFactor]:
 
 
 def sigma_findings(adjustment: Adjustment, without_suspects: float | None = None) -> tuple[Finding, ...]:
-    """One finding where the sigmas do not agree with the residuals: of the whole block, or group by group.
+    """One finding if the sigmas do not agree with the residuals, for the whole block or for groups.
 
-    `without_suspects`: sigma0 as suspect observations leave it, which say nothing about sigmas; None if there are none.
+    `without_suspects`: sigma0 without suspect observations, which do not count for sigmas; None without suspects.
     """
     test = global_test(
         float(adjustment.sigma0) if without_suspects is None else without_suspects, adjustment.redundancy
@@ -100,8 +100,8 @@ def sigma_findings(adjustment: Adjustment, without_suspects: float | None = None
     of = "sigma0" if without_suspects is None else "without the suspect observations sigma0"
     what = f"{of} is {test.sigma0:.4g}, {limits}"
     if test.sigma0 > test.upper:
-        reason = "the observations are less accurate than their sigmas, or gross or systematic errors are left"
-        cure = f"look at the largest w first, else multiply all sigmas by {test.sigma0:.3g}"
+        reason = "the observations are less accurate than their sigmas, or gross or systematic errors remain"
+        cure = f"check the largest w first; otherwise multiply all sigmas by {test.sigma0:.3g}"
     else:
         reason = "the observations are more accurate than their sigmas"
         cure = f"multiply all sigmas by {test.sigma0:.3g}"

@@ -1,7 +1,7 @@
-"""Control against the coordinates in which its rays meet at the approximate orientations.
+"""Comparing control with the intersections of its rays at the approximate orientations.
 
-Approximate orientations may be rough: differences are held against the depth of the scene, and those of one point
-against those of all others, never against a sigma.
+Approximate orientations may be rough. Therefore differences are compared with the depth of the scene, and those of
+one point with those of all others, never with a sigma.
 """
 
 from typing import NamedTuple
@@ -14,19 +14,22 @@ from jaxbundle.block.findings import Finding, Kind, Severity, Subject
 from jaxbundle.block.wording import counted, named
 from jaxbundle.orientation.sight import Sight, intersected, medians, only, photo_vectors, relative_off
 
-LEAST = 3  # control points with two rays and more
-NEAR, FAR = 0.1, 1.0  # of the depth: by more a cause is looked for, by more control is in another system without one
-ROUGH = 0.3  # of the depth: what rough orientations leave
-AGREES = 0.1  # of the differences, left by a cause that is named
-OUTLYING = 8.0  # fields off, times the median of the others: rough starts give the worst of twelve four times
-DISTANT = 2.5  # distance, times the median of the others: weak intersections scatter along the depth
-SEEN, SEEN_SINGLE = 0.1, 0.3  # fields, on its own rays: of all control, and of a point that is named alone
-PAIR = 0.2  # of the difference, left where names or columns of single points are exchanged
+LEAST = 3  # minimum number of control points with at least two rays
+NEAR, FAR = (
+    0.1,
+    1.0,
+)  # shares of the depth: a cause is searched; control is in another system
+ROUGH = 0.3  # share of the depth: errors of rough orientations
+AGREES = 0.1  # maximum share of the differences that remains after a named cause
+OUTLYING = 8.0  # angle, times the median of the others: in rough starts the maximum of twelve is four times the median
+DISTANT = 2.5  # distance, times the median of the others: weak intersections scatter in depth
+SEEN, SEEN_SINGLE = 0.1, 0.3  # angle in image fields: of all control, and of a single named point
+PAIR = 0.2  # maximum share of the difference that remains when names or columns of single points are exchanged
 US_FOOT, FOOT = 1200 / 3937, 0.3048
 
 
 class _Control(NamedTuple):
-    """Points with control coordinates and two rays or more: coordinates as given and as intersected, fields off."""
+    """Control points with at least two rays: given and intersected coordinates, angles between them in image fields."""
 
     point: Int[np.ndarray, " control"]
     given: Float[np.ndarray, "control 3"]
@@ -40,7 +43,7 @@ class _Control(NamedTuple):
 
 
 def control_findings(block: Block, sight: Sight) -> list[Finding]:
-    """Control in another system than the approximate orientations, and single control points that are far off."""
+    """Findings about control in another system than the approximate orientations, and about single control points."""
     control = _control(sight)
     same = _coinciding(block, sight)
     if len(control.point) < LEAST:
@@ -63,10 +66,10 @@ def _control(sight: Sight) -> _Control:
 
 
 def _whole(block: Block, control: _Control) -> list[Finding]:
-    """All control in another system."""
+    """The finding that all control is in another system."""
     s = block.structure
     given, met, off = control.given, control.met, np.median(control.off)
-    what = f"the {len(given)} control points lie {off:.4g} {s.object_unit} (median) from where their rays meet"
+    what = f"the {len(given)} control points lie {off:.4g} {s.object_unit} (median) from the intersection of their rays"
     subjects = tuple(Subject("control", (s.point_names[k],)) for k in control.point)
     for words, cure, changed in _changes(given):
         rest = np.median(np.linalg.norm(changed - met, axis=1))
@@ -76,7 +79,7 @@ def _whole(block: Block, control: _Control) -> list[Finding]:
     if off <= FAR * control.depth:
         return []
     if _is_geographic(given) and not _is_geographic(met):
-        cure = "longitude and latitude in degrees? give control in the system of the images, in metres"
+        cure = "longitude and latitude in degrees? give control in metres in the system of the images"
         return [Finding(Kind.CONTROL_SYSTEM, what, cure, subjects, float(off), s.object_unit)]
     shift = np.median(met - given, axis=0)
     rest = np.median(np.linalg.norm(given + shift - met, axis=1))
@@ -109,7 +112,7 @@ def _is_geographic(coordinates: Float[np.ndarray, "control 3"]) -> bool:
 
 
 def _single(block: Block, control: _Control) -> list[Finding]:
-    """Points that are far off while the others agree, the worst first; exchanged pairs as one."""
+    """Findings about points that are far off while the others agree, the worst first; one finding for a pair."""
     s, off = block.structure, control.off
     limits = ((off, DISTANT), (control.seen, OUTLYING))
     suspects = [
@@ -126,7 +129,7 @@ def _single(block: Block, control: _Control) -> list[Finding]:
         name, typical = s.point_names[control.point[k]], _typical(off, k)
         partner = next((j for j in suspects if j != k and j not in done and _exchanged(control, k, j)), None)
         what = (
-            f"control point {name} lies {off[k]:.4g} {s.object_unit} from where its rays meet, the others"
+            f"control point {name} lies {off[k]:.4g} {s.object_unit} from the intersection of its rays, the others"
             f" {typical:.3g} {s.object_unit} (median)"
         )
         subjects, cure = (Subject("control", (name,)),), "check its coordinates and its name"
@@ -134,8 +137,8 @@ def _single(block: Block, control: _Control) -> list[Finding]:
             other = s.point_names[control.point[partner]]
             done.add(partner)
             what = (
-                f"control points {name} and {other} lie {off[k]:.4g} and {off[partner]:.4g} {s.object_unit} from where"
-                " their rays meet; with their names exchanged they would agree"
+                f"control points {name} and {other} lie {off[k]:.4g} and {off[partner]:.4g} {s.object_unit} from"
+                " intersections of their rays; with their names exchanged they would agree"
             )
             subjects, cure = (*subjects, Subject("control", (other,))), "exchange the two names"
         elif _agrees(float(np.linalg.norm(control.given[k][[1, 0, 2]] - control.met[k])), float(off[k]), typical):
@@ -147,13 +150,13 @@ def _single(block: Block, control: _Control) -> list[Finding]:
 
 
 def _typical(values: Float[np.ndarray, " control"], k: int) -> float:
-    """Median of the better two thirds of the others: up to a third of the points may be wrong."""
+    """Median of the best two thirds of the others: up to a third of the points may be wrong."""
     others = np.sort(np.delete(values, k))
     return float(np.median(others[: -(-2 * len(others) // 3)]))
 
 
 def _agrees(rest: float, off: float, typical: float) -> bool:
-    """Whether what a cause leaves of a difference is small, or as that of the others."""
+    """Whether the remaining difference after a cause is small, or similar to that of the others."""
     return rest <= max(PAIR * off, min(2 * typical, 0.5 * off))
 
 
@@ -164,7 +167,7 @@ def _exchanged(control: _Control, k: int, j: int) -> bool:
 
 
 def _coinciding(block: Block, sight: Sight) -> list[Finding]:
-    """Control points with the same coordinates."""
+    """The finding about control points with equal coordinates."""
     known = np.flatnonzero(sight.is_known)
     if not len(known):
         return []

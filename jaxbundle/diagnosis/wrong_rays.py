@@ -1,10 +1,10 @@
-"""Rays that keep a block from converging, or bend it beyond any use.
+"""Finding rays that prevent a block from converging, or that make its result unusable.
 
-Gross errors of thousands of pixels draw a least-squares solution so far aside that its residuals accuse anybody. At the
-start they have drawn nothing yet: rays that are off there many times as far as the others are left out first, and what
-then still does not fit is wrong. Where the start tells nothing, robust weights (solve/robust.py) are tried. What is
-found are single rays, rays whose names or axes are exchanged, control points that contradict all their rays, or whole
-images.
+Gross errors of thousands of pixels distort a least-squares solution so much that large residuals also occur at correct
+rays. The approximate values are not yet distorted: rays with residuals many times larger than those of the others are
+left out first, and those that still do not fit afterwards are wrong. If this fails, robust weights
+(solve/reweighting.py) are tried. The findings are single rays, rays with exchanged names or axes, control points that contradict all their
+rays, or whole images.
 """
 
 import equinox as eqx
@@ -13,7 +13,7 @@ from jaxtyping import Bool, Float, Int
 
 from jaxbundle.block.block import Block
 from jaxbundle.block.findings import Finding, Kind, Subject
-from jaxbundle.block.observations import CONTROL
+from jaxbundle.block.observation_kinds import CONTROL
 from jaxbundle.block.residuals import observations_of, ray_residuals
 from jaxbundle.block.unknowns import unknowns_of
 from jaxbundle.block.wording import counted, figure, named
@@ -24,18 +24,20 @@ from jaxbundle.solve.attempt import attempt
 from jaxbundle.solve.weight_functions import Danish
 from jaxbundle.statistics.hypotheses import image_points
 
-CURED = 0.3  # of sigma0, left without what is named
-FAR_OFF = 5.0  # times the median residual of the start: those of rough values spread by less; all are tested at the end
-OUTLYING = 10.0  # times sigma at the end: no error of measurement
-NO_WEIGHT = 1e6  # times its sigma: a ray that is as good as not measured
-MOST_WRONG = 0.1  # share of the rays: if more are taken out, the wrong side may have been chosen
-WHOLE_IMAGE = 0.5  # share of its rays from which on an image is named in their place
-ITERATIONS = 50  # of one adjustment
-SAME_PLACE = 0.1  # of the distance of two image points: their names fit if exchanged
+CURED = 0.3  # maximum share of sigma0 that remains without the named rays
+FAR_OFF = (
+    5.0  # times the median residual of the start: errors of rough values are smaller; all rays are tested at the end
+)
+OUTLYING = 10.0  # times sigma at the end: not a random error
+NO_WEIGHT = 1e6  # times its sigma: a ray with practically no weight
+MOST_WRONG = 0.1  # share of the rays: if more are left out, the wrong rays may have been chosen
+WHOLE_IMAGE = 0.5  # an image is named instead of its rays from this share of rays
+ITERATIONS = 50  # maximum number for one adjustment
+SAME_PLACE = 0.1  # share of the distance of two image points: below this the exchanged names fit
 
 
 def wrong_rays(start: Block, adjustment: Adjustment) -> tuple[Finding, ...]:
-    """Rays or images without which the block converges; nothing where no choice of rays cures it."""
+    """Findings about rays or images without which the block converges; none if no choice of rays helps."""
     without = _without_far_off(start) or _robust(start)
     if without is None:
         return ()
@@ -49,7 +51,7 @@ def wrong_rays(start: Block, adjustment: Adjustment) -> tuple[Finding, ...]:
     images, low = _whole_images(start, low)
     control, low = _whole_control(start, low)
     pairs, low = _exchanged(start, low, v)
-    left = f"without what is named here the adjustment converges with sigma0 {after:.4g}"
+    left = f"without them the adjustment converges with sigma0 {after:.4g}"
     return (
         *(_image(start, image, left) for image in images),
         *(_control(start, point, left) for point in control),
@@ -59,7 +61,7 @@ def wrong_rays(start: Block, adjustment: Adjustment) -> tuple[Finding, ...]:
 
 
 def _without_far_off(start: Block) -> tuple[Adjustment, Int[np.ndarray, " ray"]] | None:
-    """The adjustment without the rays that are far off at the start, and those of them that do not fit to it."""
+    """The adjustment without the rays that are far off at the start, and those of them that do not fit it."""
     sigmas = np.asarray(start.rays.sigmas)
     v = np.asarray(ray_residuals(unknowns_of(start), observations_of(start))).T / sigmas
     size = np.linalg.norm(v, axis=1)
@@ -83,13 +85,13 @@ def _robust(start: Block) -> tuple[Adjustment, Int[np.ndarray, " ray"]] | None:
 
 
 def _outlying(start: Block, found: Adjustment, rays: Int[np.ndarray, " ray"]) -> Int[np.ndarray, " ray"]:
-    """Those rays whose residuals are no errors of measurement."""
+    """Indices of rays whose residuals are not random errors."""
     size = np.linalg.norm(np.asarray(found.residuals[0])[rays] / np.asarray(start.rays.sigmas)[rays], axis=1)
     return rays[size > OUTLYING * max(float(found.sigma0), 1.0)]
 
 
 def _whole_images(start: Block, low: Int[np.ndarray, " ray"]) -> tuple[list[int], Int[np.ndarray, " ray"]]:
-    """Images of which most rays are wrong, and the wrong rays of the others."""
+    """Images with mostly wrong rays, and the wrong rays of the other images."""
     structure, count = start.structure, len(start.structure.image_names)
     rays, wrong = (np.bincount(x, minlength=count) for x in (structure.ray_image, structure.ray_image[low]))
     whole = wrong > WHOLE_IMAGE * np.maximum(rays, 1)
@@ -97,7 +99,7 @@ def _whole_images(start: Block, low: Int[np.ndarray, " ray"]) -> tuple[list[int]
 
 
 def _whole_control(start: Block, low: Int[np.ndarray, " ray"]) -> tuple[list[int], Int[np.ndarray, " ray"]]:
-    """Control points of which all rays are wrong: their coordinates are, or their one ray; and the other wrong rays."""
+    """Control points with only wrong rays (their coordinates or their only ray are wrong), and the other wrong rays."""
     structure, count = start.structure, len(start.structure.point_names)
     rays, wrong = (np.bincount(x, minlength=count) for x in (structure.ray_point, structure.ray_point[low]))
     observed = [g.structure.indices[:, 0] for g in start.groups if g.structure.kind.table == CONTROL.table]
@@ -110,7 +112,7 @@ def _whole_control(start: Block, low: Int[np.ndarray, " ray"]) -> tuple[list[int
 def _exchanged(
     start: Block, low: Int[np.ndarray, " ray"], v: Float[np.ndarray, "ray 2"]
 ) -> tuple[list[tuple[int, int]], Int[np.ndarray, " ray"]]:
-    """Pairs of rays of one image of which each was measured where the other one is computed; and the other rays."""
+    """Pairs of rays of one image whose measured and computed positions are exchanged, and the other rays."""
     x, image = image_points(start), start.structure.ray_image
     pairs: list[tuple[int, int]] = []
     left = low.tolist()
@@ -135,7 +137,7 @@ def _image(start: Block, image: int, left: str) -> Finding:
 
 
 def _control(start: Block, point: int, left: str) -> Finding:
-    """A control point that contradicts all its rays."""
+    """The finding about a control point that contradicts all its rays."""
     structure = start.structure
     name, rays = structure.point_names[point], np.flatnonzero(structure.ray_point == point).tolist()
     subjects = (Subject("control", (name,)),)
@@ -154,14 +156,14 @@ def _pair(start: Block, pair: tuple[int, int], left: str) -> Finding:
 
 
 def _single(start: Block, rays: Int[np.ndarray, " ray"], v: Float[np.ndarray, "ray 2"], left: str) -> Finding:
-    """The worst rays, those that disagree most first."""
+    """The finding about wrong rays, the largest residuals first."""
     structure = start.structure
     size = np.linalg.norm(v[rays], axis=1)
     unit = structure.cameras[structure.image_camera[structure.ray_image[rays[0]]]].image_unit
     listed = named([f"{ray_name(structure, r)} ({figure(s)} {unit})" for r, s in zip(rays.tolist(), size, strict=True)])
     verb = "disagrees" if len(rays) == 1 else "disagree"
     what = f"{counted(len(rays), 'ray')} {verb} with the others: {listed}"
-    cure = "measure them again or remove them"
+    cure = "re-measure or remove them"
     if _axes_exchanged(start, rays, v).all():
         what, cure = f"{what}; x and y are exchanged", "exchange x and y of these rays"
     subjects = tuple(ray_subject(structure, ray) for ray in rays.tolist())
@@ -171,7 +173,7 @@ def _single(start: Block, rays: Int[np.ndarray, " ray"], v: Float[np.ndarray, "r
 def _axes_exchanged(
     start: Block, rays: Int[np.ndarray, " ray"], v: Float[np.ndarray, "ray 2"]
 ) -> Bool[np.ndarray, " ray"]:
-    """Rays that are computed where they would have been measured with x and y exchanged."""
+    """Whether the computed positions of rays agree with the measured ones after an exchange of x and y."""
     structure, given = start.structure, np.asarray(start.rays.coordinates)[rays]
     down = np.array([camera.image_unit == "px" for camera in structure.cameras])
     up = np.where(down[structure.image_camera[structure.ray_image[rays]]], -1.0, 1.0)

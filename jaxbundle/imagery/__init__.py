@@ -15,36 +15,11 @@ level l of a pyramid they are those of level 0 divided by 2^l. Readers and detec
     all images of a point, tied by the image equation           tied
     windows around points, pairs of them over many images       windows, window_pairs
     standard deviations of rays                                 ray_sigmas
-    rays of a block measured again                              refine
-    interest points, candidates of pairs, tracks                features, candidates, tracks
+    rays of a block measured again                              refinement
+    interest points, candidates of pairs, tracks                interest_points, match_candidates, tracks
     what photographs say of themselves                          exif
 """
 
-from jaxbundle.imagery.image_problems import ImageError
-from jaxbundle.imagery.levels import between_levels, halved, level_sizes
-from jaxbundle.imagery.match_types import Matches, MatchOptions, Refusal
-from jaxbundle.imagery.matching import match
-from jaxbundle.imagery.photographs import Photograph, photograph
-from jaxbundle.imagery.pyramid_file import Pyramid, pyramid
-from jaxbundle.imagery.refine import Refinement, refine
-from jaxbundle.imagery.tied import OrientedWindow, TiedMatch, match_tied
+from jaxbundle.numerics.lazy_names import lazy_names
 
-__all__ = [
-    "ImageError",
-    "MatchOptions",
-    "Matches",
-    "OrientedWindow",
-    "Photograph",
-    "Pyramid",
-    "Refinement",
-    "Refusal",
-    "TiedMatch",
-    "between_levels",
-    "halved",
-    "level_sizes",
-    "match",
-    "match_tied",
-    "photograph",
-    "pyramid",
-    "refine",
-]
+__getattr__, __dir__, __all__ = lazy_names(__name__, __file__)

@@ -27,8 +27,8 @@ from jaxtyping import Array, Bool, Float
 from jaxbundle.imagery import spline
 from jaxbundle.imagery.match_types import DEFAULT, SCALE, SIGNIFICANT, Matches, MatchOptions, Refusal
 from jaxbundle.numerics.compilation import Compiled
+from jaxbundle.numerics.float64 import require_float64
 from jaxbundle.numerics.host import is_concrete, on_device
-from jaxbundle.numerics.precision import require_float64
 
 UNKNOWNS = 8
 MAX_STEP = 1.0  # px: further, the linearised grey values mean nothing

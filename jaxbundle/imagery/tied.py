@@ -26,7 +26,7 @@ from jaxbundle.camera.projection import projection
 from jaxbundle.imagery import spline
 from jaxbundle.imagery.match_types import MIN_CORRELATION, Refusal
 from jaxbundle.numerics.compilation import Compiled
-from jaxbundle.numerics.precision import require_float64
+from jaxbundle.numerics.float64 import require_float64
 
 MAX_ITERATIONS = 20
 SETTLED = 1e-6  # last step relative to the inverse distance; at a base of half the distance, 0.001 px of 3000 px

@@ -4,7 +4,7 @@ import numpy as np
 from jaxtyping import Float
 
 from jaxbundle.block.block import Block
-from jaxbundle.block.observations import ObservationGroup, interior_priors, observation_group
+from jaxbundle.block.observation_kinds import ObservationGroup, interior_priors, observation_group
 from jaxbundle.independent.formation import Models
 from jaxbundle.independent.sensor_block import Seen, SensorBlock, Sensors, sensor_block
 from jaxbundle.independent.sensors import MODEL, MODEL_WITH_ERRORS, SHARED, factor_numbers

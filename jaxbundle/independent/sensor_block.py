@@ -16,7 +16,7 @@ from jaxbundle.block.block import (
     Structure,
 )
 from jaxbundle.block.findings import Finding
-from jaxbundle.block.observations import ObservationGroup
+from jaxbundle.block.observation_kinds import ObservationGroup
 from jaxbundle.camera.model import CameraModel
 from jaxbundle.independent.translated import Stand, translated
 from jaxbundle.numerics.host import on_device

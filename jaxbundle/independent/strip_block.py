@@ -7,7 +7,7 @@ import scipy.sparse as sp
 from jaxtyping import Float, Int
 
 from jaxbundle.block.block import Block
-from jaxbundle.block.observations import ObservationGroup, interior_priors, observation_group
+from jaxbundle.block.observation_kinds import ObservationGroup, interior_priors, observation_group
 from jaxbundle.independent.formation import Models
 from jaxbundle.independent.joined import Strip
 from jaxbundle.independent.polynomials import Form, curbed, strip_sensor

@@ -13,7 +13,7 @@ import numpy as np
 from jaxtyping import Float, Int
 
 from jaxbundle.block.findings import Finding, Kind, Subject
-from jaxbundle.block.observations import CONTROL, STATIONS, GroupStructure, ObservationGroup, ObservationKind
+from jaxbundle.block.observation_kinds import CONTROL, STATIONS, GroupStructure, ObservationGroup, ObservationKind
 from jaxbundle.block.wording import counted, named
 from jaxbundle.geometry import rotation
 from jaxbundle.geometry.rotation import Scalar

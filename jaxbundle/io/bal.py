@@ -1,11 +1,11 @@
 """BAL text files (Agarwal, Snavely, Seitz, Szeliski 2010: Bundle Adjustment in the Large).
 
     cameras points observations
-    camera point x y                            one line an observation, px, origin in the image centre, y up
-    rotation vector, t, f, k1, k2               nine numbers a camera, p = R X + t
-    X Y Z                                       three numbers a point
+    camera point x y                            one line per observation, px, origin in the image centre, y up
+    rotation vector, t, f, k1, k2               nine numbers per camera, p = R X + t
+    X Y Z                                       three numbers per point
 
-Every image has a camera of its own. Its projection centre is X0 = -R^T t; its angles are those of R^T,
+Each image has its own camera. The projection centre is X0 = -R^T t; its angles are those of R^T,
 object_from_image.
 """
 
@@ -35,23 +35,23 @@ from jaxbundle.io.ranges import (
     PRINCIPAL_DISTANCES,
     TURNS,
 )
-from jaxbundle.io.text import require_bytes
+from jaxbundle.io.text_files import require_bytes
 from jaxbundle.numerics.host import on_device
 
-HEAD = 200  # characters that hold the first line
-FIELD = re.compile(rb"(?<!\S)(?![+-]?\d{1,17}(?:\.\d{0,30})?(?:[eE][+-]?\d{1,2})?(?!\S))\S+")  # no plain number
+HEAD = 200  # characters that contain the first line
+FIELD = re.compile(rb"(?<!\S)(?![+-]?\d{1,17}(?:\.\d{0,30})?(?:[eE][+-]?\d{1,2})?(?!\S))\S+")  # not a plain number
 DIGITS = 18  # of the numbers of cameras, points and observations: they fit into 64 bits
-AGAIN = "correct it, or take the file from its source again"
+AGAIN = "correct it, or download the file again"
 SHOWN_FIELDS = 10  # of a line in a message
 Numbers = Float[np.ndarray, " number"]
 
 
 def read_bal(path: str | Path, estimate_interior: bool = True) -> Block:
-    """The block of a BAL file: names are numbers, sigmas are 1 px; points behind a camera are taken as they are.
+    """The block of a BAL file: names are numbers, sigmas are 1 px; points behind a camera are not changed.
 
-    `estimate_interior`: f, k1, k2 of every camera are unknown, else held.
+    `estimate_interior`: f, k1, k2 of each camera are unknown, otherwise fixed.
 
-    Raises: BlockError with what is wrong in the file.
+    Raises: BlockError with all problems of the file.
     """
     text = _plain(require_bytes(Path(path)))
     cameras, points, observations = _counts(Path(path).name, text)
@@ -88,13 +88,13 @@ def read_bal(path: str | Path, estimate_interior: bool = True) -> Block:
 
 
 def _plain(text: bytes) -> bytes:
-    """The text without byte order mark, its lines ending with LF."""
+    """The text without byte order mark, with LF at the end of each line."""
     text = text.removeprefix(codecs.BOM_UTF8)
     return text.replace(b"\r\n", b"\n").replace(b"\r", b"\n") if b"\r" in text else text
 
 
 def is_bal(head: bytes) -> bool:
-    """Whether a file that begins so is a BAL file: three integers in its first line."""
+    """Whether a file with this beginning is a BAL file: three integers in its first line."""
     fields = _plain(head).partition(b"\n")[0].split()
     return len(fields) == 3 and all(field.isdigit() and len(field) <= DIGITS for field in fields)
 
@@ -118,11 +118,11 @@ def _wrong(file: str, line: int, what: str, cure: str) -> BlockError:
 def _counts(file: str, text: bytes) -> tuple[int, int, int]:
     head = text[:HEAD]
     if not is_bal(head):
-        what = "the first line does not tell the numbers of cameras, points and observations"
+        what = "the first line does not give the numbers of cameras, points and observations"
         raise _wrong(file, 1, what, "begin the file with three integers")
     cameras, points, observations = map(int, head.partition(b"\n")[0].split())
     if 0 in (cameras, points, observations):
-        what = f"{cameras} cameras, {points} points and {observations} observations are no block"
+        what = f"{cameras} cameras, {points} points and {observations} observations are not a block"
         raise _wrong(file, 1, what, "give at least one of each")
     return cameras, points, observations
 
@@ -140,8 +140,8 @@ def _numbers(file: str, text: bytes, promised: int) -> Numbers:
 
 
 def _what_is_wrong(file: str, text: bytes, promised: int, readable: bool) -> BlockError:
-    """The first field that is not a number, if not all of them are; else the first observation that is not whole; else
-    the number of fields."""
+    """Index of the first field that is not a number, else of the first incomplete observation, else the number of
+    fields."""
     cameras, points, observations = _counts(file, text)
     wrong = None if readable else next((field for field in FIELD.finditer(text) if not _is_finite(field[0])), None)
     if wrong:
@@ -155,7 +155,7 @@ def _what_is_wrong(file: str, text: bytes, promised: int, readable: bool) -> Blo
             return _wrong(file, number, f"observation '{said}' has {len(fields)} numbers, not 4", AGAIN)
     found = sum(len(fields) for _, fields in lines)
     promise = f"{cameras} cameras, {points} points and {observations} observations need {promised} numbers"
-    cure = "the file is cut off: take it from its source again" if found < promised else "correct the first line"
+    cure = "the file is truncated: download it again" if found < promised else "correct the first line"
     return _wrong(file, lines[-1][0], f"{promise}, the file has {found}", cure)
 
 
@@ -174,11 +174,11 @@ def _require_indices(file: str, text: bytes, rays: Float[np.ndarray, "ray 4"], c
         if len(wrong):
             line = _line(text, 3 + 4 * int(wrong[0]) + column)
             problem = f"there is no {what} {index[wrong[0]]:g}: the file has {count}, numbered from 0"
-            raise _wrong(file, line, problem, "correct the number or drop the observation and count anew")
+            raise _wrong(file, line, problem, "correct the number, or drop the observation and correct the first line")
 
 
 def _require_sizes(file: str, text: bytes, numbers: Numbers, cameras: int, observations: int) -> None:
-    """Raises BlockError for the first number that is too large to be what it stands for."""
+    """Raises BlockError for the first number that is outside the range of its quantity."""
     ends = 4 * observations, 4 * observations + 9 * cameras
     limits = np.full(len(numbers), LARGEST_LENGTH)
     limits[: ends[0]] = LARGEST_IMAGE_COORDINATE
@@ -197,7 +197,7 @@ def _require_sizes(file: str, text: bytes, numbers: Numbers, cameras: int, obser
 
 
 def _meaning(k: int, ends: tuple[int, int]) -> str:
-    """What the k-th number after the first line stands for."""
+    """Quantity of the k-th number after the first line, in words."""
     if k < ends[0]:
         return ("the number of a camera", "the number of a point", "an image coordinate", "an image coordinate")[k % 4]
     if k < ends[1]:
@@ -208,7 +208,7 @@ def _meaning(k: int, ends: tuple[int, int]) -> str:
 
 
 def _line(text: bytes, field: int) -> int:
-    """Line of a field, both counted in the whole file: lines from 1, fields from 0."""
+    """Line of a field, both counted over the whole file: lines from 1, fields from 0."""
     last = np.cumsum([len(line.split()) for line in text.split(b"\n")])
     return int(np.searchsorted(last, field, side="right")) + 1
 
@@ -223,14 +223,14 @@ def _orientation(parameters: Float[Array, "6 image"]) -> tuple[Float[Array, "3 i
 
 
 def write_bal(block: Block, path: str | Path) -> None:
-    """Writes images, points and rays; sigmas, control and what is held have no place in the format.
+    """Writes images, points and rays; the format has no sigmas, no control and no fixed unknowns.
 
-    Raises: BlockError where a camera has another model than `bal`.
+    Raises: BlockError where a camera has a model other than `bal`.
     """
-    require_a(Block, block, "write_bal")
+    require_a(Block, block, "io.write_bal")
     structure = block.structure
     problems = [
-        Problem(f"camera {camera.name} has the model '{camera.model.name}'", "BAL files know 'bal' alone")
+        Problem(f"camera {camera.name} has the model '{camera.model.name}'", "BAL files support the model 'bal' only")
         for camera in structure.cameras
         if camera.model is not BAL
     ]

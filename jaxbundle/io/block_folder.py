@@ -1,6 +1,6 @@
-"""The block folder, format 1: block.toml and tables, read to a block.
+"""Reading a block folder, format 1: block.toml and its tables.
 
-Everything that is wrong in the whole folder is told at once, with file, line and cure.
+All problems of the folder are reported at once, with file, line and remedy.
 """
 
 from pathlib import Path
@@ -29,24 +29,24 @@ from jaxbundle.diagnosis.before import prepared
 from jaxbundle.geometry.rotation import ROTATION_SYSTEMS
 from jaxbundle.io.block_toml import FILE, BlockToml, read_block_toml
 from jaxbundle.io.fiducial_tables import with_inner_orientations
+from jaxbundle.io.file_problems import told_of
 from jaxbundle.io.folder_tables import FolderTables, RayRows, checked_tables, read_tables
 from jaxbundle.io.known_tables import KnownRows
 from jaxbundle.io.noted import Noted, listed
 from jaxbundle.io.observation_groups import found_in, interior_groups, interior_values
 from jaxbundle.io.settings import CameraSection, DatumSection, Settings
 from jaxbundle.io.tables import Table
-from jaxbundle.io.told import told_of
 from jaxbundle.io.unused import unused
-from jaxbundle.orientation.figures import with_figures
 from jaxbundle.orientation.intersection import intersect
+from jaxbundle.orientation.planes_and_lines import with_figures
 
 
 def read_block_folder(path: str | Path, *, check_start: bool = True) -> Block:
-    """The block of a folder; points without approximate coordinates are intersected.
+    """Reads a block from a folder; points without approximate coordinates are intersected.
 
-    `check_start`: as for `read`. Without it orientations that are not given are NaN, as `approximate` takes them.
+    `check_start`: as for `read`. Without it, orientations that are not given are NaN, as `approximate` expects them.
 
-    Raises: BlockError with all that is wrong.
+    Raises: BlockError with all problems.
     """
     folder, noted = Path(path), Noted()
     if not folder.is_dir():
@@ -58,9 +58,9 @@ def read_block_folder(path: str | Path, *, check_start: bool = True) -> Block:
 def block_of(
     toml: BlockToml, read: dict[str, Table | None], noted: Noted, folder: Path | None, *, check_start: bool
 ) -> Block:
-    """The block of settings and tables, as far as these could be read; `folder` is where they are from, if they are.
+    """Makes the block of settings and tables, as far as these could be read; `folder` is their folder, None for frames.
 
-    Raises: BlockError with all that is wrong.
+    Raises: BlockError with all problems.
     """
     tables = checked_tables(read, toml, noted)
     if tables is not None:
@@ -84,7 +84,7 @@ def block_of(
 
 
 def _block(folder: Path | None, toml: BlockToml, settings: Settings, tables: FolderTables, noted: Noted) -> Block:
-    """The block; where something was found it lacks the rows that refer to nothing known."""
+    """The block without the rows that refer to unknown names; these rows are noted as problems."""
     images, rays, known = tables.images, tables.rays, tables.known
     used = {name: section for name, section in settings.cameras.items() if name in images.camera}
     elements, interior_free = _interior(list(used.values()))
@@ -177,7 +177,7 @@ def _datum(
 
 
 def _free_network(toml: BlockToml, section: DatumSection, tables: FolderTables, noted: Noted) -> Datum:
-    """The datum of a free network; points that are none are noted."""
+    """The datum of a free network; names that are not object points are noted."""
     named = tuple(dict.fromkeys(section.points or ()))
     known = set(tables.rays.points)
     absent = [point for point in named if point not in known]
@@ -190,23 +190,23 @@ def _free_network(toml: BlockToml, section: DatumSection, tables: FolderTables, 
 
 
 def _wrong_elements(block: Block, section: DatumSection | None) -> list[Problem]:
-    """The problem of inner constraints that name the scale where observations give it, or do not where none does."""
+    """Notes inner constraints that include a determined scale, or exclude one that is not determined."""
     if section is None or section.elements is None:
         return []
     open_scale, wanted = datum_defect(block).scale, "scale" in section.elements
     if open_scale == wanted:
         return []
     if wanted:
-        what = "[datum] elements name the scale, which observed distances or scale bars give already"
-        return [Problem(what, 'drop "scale" from elements, or the observations that give it', "datum")]
-    what = "[datum] elements do not name the scale, and no observed distance and no scale bar gives it"
+        what = "[datum] elements include the scale, but observed distances or scale bars determine it"
+        return [Problem(what, 'drop "scale" from elements, or drop the observations that determine it', "datum")]
+    what = "[datum] elements exclude the scale, and no observed distance or scale bar determines it"
     return [Problem(what, 'add "scale" to elements, or observe a distance', "datum")]
 
 
 def _object_points(
     rays: RayRows, known: dict[str, KnownRows]
 ) -> tuple[Float[np.ndarray, "point 3"], Bool[np.ndarray, "point 3"]]:
-    """Approximate coordinates from points.csv, else from control.csv, else NaN; held ones have their control's."""
+    """Approximate coordinates from points.csv, else from control.csv, else NaN; fixed ones from the control."""
     points, free = np.full((len(rays.points), 3), np.nan), np.ones((len(rays.points), 3), bool)
     for rows in (known[kind] for kind in ("control", "points") if kind in known):
         row, k = np.nonzero((rows.position >= 0)[:, None] & np.isfinite(rows.coordinates))

@@ -1,4 +1,4 @@
-"""A block, approximate or adjusted, written as a block folder; reading it back gives the same block."""
+"""Writing a block, approximate or adjusted, as a block folder; reading it again gives the same block."""
 
 from pathlib import Path
 from typing import Any
@@ -9,15 +9,15 @@ from jaxtyping import Float
 from jaxbundle.block.block import CENTRE_ELEMENTS, Block, Camera, Structure
 from jaxbundle.block.given import require_a
 from jaxbundle.block.navigation import ATTITUDES, GNSS
-from jaxbundle.block.observations import CONTROL, PARAMETERS, STATIONS, ObservationKind, interior_priors
+from jaxbundle.block.observation_kinds import CONTROL, PARAMETERS, STATIONS, ObservationKind, interior_priors
 from jaxbundle.block.problems import BlockError, Problem
 from jaxbundle.block.wording import RADIANS
+from jaxbundle.camera.camera_models import CAMERA_MODELS, named_model
 from jaxbundle.camera.model import CORRECTIONS
-from jaxbundle.camera.registry import CAMERA_MODELS, named_model
 from jaxbundle.io.block_tables import COORDINATES, TABLES, table_of_kind
 from jaxbundle.io.block_toml import FILE, write_block_toml
 from jaxbundle.io.known_tables import COVARIANCES, PLACES
-from jaxbundle.io.navigation import navigation_columns, navigation_problems, navigation_sections
+from jaxbundle.io.navigation_tables import navigation_columns, navigation_problems, navigation_sections
 from jaxbundle.io.observation_writer import (
     Prior,
     observation_columns,
@@ -30,12 +30,12 @@ from jaxbundle.io.tables import Columns, write_table
 
 
 def write_block_folder(block: Block, path: str | Path) -> None:
-    """Writes block.toml and the tables; the folder is made where it does not exist.
+    """Writes block.toml and the tables; a missing folder is created.
 
-    Rays that fiducials brought to mm are written in mm; corrections are written as their coefficients. An observed
-    parameter or interior element is written with its observed value, which is its approximate value then.
+    Rays that were transformed to mm by fiducials are written in mm; corrections are written as their coefficients. An
+    observed parameter or interior element is written with its observed value, which then is its approximate value.
 
-    Raises: BlockError where the block has a camera model or a kind of observation that has no place in format 1.
+    Raises: BlockError where the block has a camera model or a kind of observation that format 1 does not have.
     """
     require_a(Block, block, "write_block_folder")
     _require_writable(block)
@@ -82,12 +82,12 @@ def _require_writable(block: Block) -> None:
 
 
 def _interior_kinds(block: Block) -> list[ObservationKind]:
-    """Observations of interior elements by the cameras' own elements."""
+    """Observed interior elements: each member observes one element of one camera."""
     return [interior_priors(camera.model.elements) for camera in block.structure.cameras]
 
 
 def _lost(block: Block) -> list[Problem]:
-    """Parameters that no table brings along."""
+    """Problems of parameters that belong to no table."""
     known = {GNSS, *ATTITUDES.values(), *table_of_kind()}
     structures = [group.structure for group in block.groups if group.structure.kind in known]
     used = {
@@ -111,7 +111,7 @@ def _lost(block: Block) -> list[Problem]:
 
 
 def _held_and_observed(block: Block) -> list[Problem]:
-    """Interior elements and lengths of bars that are held and observed at once."""
+    """Problems of interior elements and bar lengths that are fixed and observed at the same time."""
     names = [
         f"{element} of camera {block.structure.cameras[c].name}"
         for c, known in _interior_priors(block).items()
@@ -120,11 +120,11 @@ def _held_and_observed(block: Block) -> list[Problem]:
     ]
     lengths = [p for p in owner_names(block, "scale_bars") if p in priors_of(block)]
     names += [p.name for p in (block.structure.parameters[k] for k in lengths) if not p.free]
-    return [Problem(f"{name} is observed and held", "make it unknown", "parameters") for name in names]
+    return [Problem(f"{name} is both observed and fixed", "make it unknown", "parameters") for name in names]
 
 
 def _interior_priors(block: Block) -> dict[int, dict[str, Prior]]:
-    """Observed interior elements by camera."""
+    """Observed interior elements of each camera."""
     kinds, priors = _interior_kinds(block), {}
     for group in (group for group in block.groups if group.structure.kind in kinds):
         structure, values, sigmas = group.structure, np.asarray(group.values), np.asarray(group.sigmas)
@@ -183,7 +183,7 @@ def _camera(
 
 
 def _held(structure: Structure) -> dict[str, list[str]]:
-    """Held elements by image, the images in the order of the datum's own list."""
+    """Fixed elements of each image, the images in the order of the datum's list."""
     order = dict.fromkeys(image for image, _ in structure.datum.held)
     held = {
         structure.image_names[i]: [structure.exterior_elements[k] for k in np.flatnonzero(~structure.exterior_free[i])]
@@ -212,7 +212,7 @@ def _images(block: Block) -> Columns:
 
 
 def _usual_sigma(block: Block) -> float:
-    """The standard deviation that most image coordinates have."""
+    """The most frequent standard deviation of the image coordinates."""
     values, counts = np.unique(np.asarray(block.rays.sigmas), return_counts=True)
     return float(values[np.argmax(counts)])
 
@@ -251,7 +251,7 @@ def _weighted_control(block: Block) -> tuple[np.ndarray, np.ndarray, np.ndarray,
 
 
 def _control(block: Block) -> Columns:
-    """Weighted control first, then control that is held, then check points."""
+    """Weighted control first, then fixed control, then check points."""
     structure = block.structure
     weighted, values, sigmas, covariances = _weighted_control(block)
     held = np.flatnonzero(~structure.point_free.all(1))

@@ -1,7 +1,7 @@
-"""A block from tables in memory: frames, columns as arrays, or files, with the columns of the block folder.
+"""Making a block from tables in memory: frames, columns as arrays, or files, with the columns of the block folder.
 
-The tables are those that the reader of a block folder makes from its files, so that both ways share every check and
-message. A message names the table and the row, counted from 1.
+The reader of a block folder makes the same tables from its files. Both ways share all checks and messages. A message
+names the table and the row, counted from 1.
 """
 
 from collections.abc import Mapping, Sequence
@@ -26,9 +26,9 @@ TableLike = Any  # a polars or pandas frame, a mapping of column names to values
 def block_from_tables(
     tables: Mapping[str, TableLike], sections: Mapping[str, Any], *, check_start: bool = True
 ) -> Block:
-    """The block of tables by their kinds, as in [tables] of block.toml, and of its other sections and keys.
+    """Makes the block of tables, named as in [tables] of block.toml, and of the other sections and keys of block.toml.
 
-    Raises: BlockError with all that is wrong.
+    Raises: BlockError with all problems.
     """
     noted = Noted(called={FILE: ""})
     raw = {"format": 1, **{key: _plain(value) for key, value in sections.items()}}
@@ -46,13 +46,13 @@ def block_from_tables(
 
 
 def _table(kind: str, columns: TableLike, schema: TableSchema, toml: BlockToml, noted: Noted) -> Table | None:
-    """A table of columns as text; None and a note where they are not those of such a table."""
+    """A table of columns as text; None and a note where the columns do not fit the table."""
     noted.files.append(kind)
     series = {str(name): _text(columns[name]) for name in _names(columns)}
     problem = problem_of_columns(list(series), schema, ",".join(series))
     lengths = {len(column) for column in series.values()}
     if not problem and len(lengths) > 1:
-        problem = f"the columns have {min(lengths)} to {max(lengths)} rows", "give columns of one length"
+        problem = f"the columns have {min(lengths)} to {max(lengths)} rows", "give columns of equal length"
     if not problem and lengths == {0}:
         problem = "the table has no rows", "fill it, or leave it out"
     if problem:
@@ -67,7 +67,7 @@ def _names(columns: TableLike) -> Sequence[Any]:
 
 
 def _text(column: Any) -> pl.Series:
-    """A column as text that reads back the same; "" for None and NaN."""
+    """A column as text that reads back to the same values; "" for None and NaN."""
     values = column.to_numpy() if hasattr(column, "to_numpy") else np.asarray(column)
     if values.dtype.kind == "f":
         return pl.Series(values.astype(float)).fill_nan(None).cast(pl.String).fill_null("")
@@ -79,7 +79,7 @@ def _text(column: Any) -> pl.Series:
 
 
 def _plain(value: Any) -> Any:
-    """A value as TOML has it: dictionaries, lists, text and Python's numbers."""
+    """A value in the types of TOML: dictionaries, lists, text and Python's numbers."""
     if isinstance(value, Mapping):
         return {str(key): _plain(inner) for key, inner in value.items()}
     if isinstance(value, np.ndarray | np.generic):

@@ -1,7 +1,7 @@
-"""The tables of the block folder, format 1: each is described here, once.
+"""Descriptions of all tables of the block folder, format 1.
 
-A further kind of observation is one entry of `TABLES`: its columns, and a function that gives the kind with its
-residual (block/observations.py). Tables with `plain=True` need nothing else to be read, checked and written.
+To add a kind of observation, add one entry to `TABLES`: its columns, and a function that returns the kind with
+its residual (block/observation_kinds.py). Tables with `plain=True` are read, checked and written without further code.
 """
 
 from collections.abc import Callable
@@ -9,12 +9,12 @@ from dataclasses import replace
 from functools import partial
 
 from jaxbundle.block.geodetic import LINES, PLANES, geodetic_kind
-from jaxbundle.block.observations import CONTROL, STATIONS, ObservationKind
+from jaxbundle.block.observation_kinds import CONTROL, STATIONS, ObservationKind
 from jaxbundle.io.schema import Column, Holds, OwnerSchema, TableSchema, Unit, called
 
 COORDINATES = ("X", "Y", "Z")
 REQUIRED = ("images", "rays")
-OTHER_NAMES = {  # of columns, in files of other programs: letters and digits in lower case
+OTHER_NAMES = {  # names of columns in files of other programs: letters and digits in lower case
     "image": "photo picture img foto bild file filename photoid imageid imagename label",
     "camera": "cam kamera cameraid sensor",
     "point": "pt id name no nr number pointid pointname punkt gcp marker label",
@@ -40,12 +40,12 @@ OTHER_NAMES = {  # of columns, in files of other programs: letters and digits in
 
 
 GIVE = "give a number or drop the row"
-POSITIVE = "give a positive one"
+POSITIVE = "give a positive number"
 APPROXIMATE = (
-    "give approximate values, as from GNSS, the flight plan or a map: some percent of the flying height are enough"
+    "give approximate values, such as from GNSS, the flight plan or a map, with errors below some percent of the height"
 )
-IN_OBJECT_UNIT = "add them, in the object unit: 0 holds a coordinate, an empty field leaves it unobserved"
-NOT_HELD = f"{POSITIVE}; [datum] in block.toml holds elements of images"
+IN_OBJECT_UNIT = "add them, in the object unit: 0 fixes a coordinate, an empty field means that it is not observed"
+NOT_HELD = f"{POSITIVE}; to fix elements of images use [datum] in block.toml"
 
 _TEXT = partial(Column, holds=Holds.TEXT)
 _OWNER = partial(Column, holds=Holds.OWNER)
@@ -80,12 +80,12 @@ COLUMNS: dict[str, Column] = {column.name: column for column in _COLUMNS}
 
 
 def _columns(names: str, **changes) -> tuple[Column, ...]:
-    """The columns of these names, those in brackets optional; `changes` of all of them."""
+    """The columns with these names; those in brackets are optional. `changes` apply to all of them."""
     return tuple(replace(COLUMNS[n.strip("[]")], optional=n[0] == "[", **changes) for n in names.split())
 
 
 def _pair(name: str, value: str, meaning: str, owner: OwnerSchema | None = None, column: str = "") -> TableSchema:
-    """A table of observations from one point or image to another; `column` names what the rows have in common."""
+    """A table of observations from one point or image to another; `column` names the common owner of rows."""
     unit = COLUMNS[value].unit if value else Unit.OBJECT
     columns = (*_columns(f"{column} from to {value}"), *_columns("sigma", unit=unit))
     subject = f"{called(name)} {{from}} - {{to}}" + (f" of {column} {{{column}}}" if column else "")
@@ -95,7 +95,7 @@ def _pair(name: str, value: str, meaning: str, owner: OwnerSchema | None = None,
 def _figure(
     name: str, column: str, meaning: str, kind: Callable[..., ObservationKind], owner: OwnerSchema
 ) -> TableSchema:
-    """A table of points on a common figure, of which each is observed with one standard deviation."""
+    """A table of points on common figures; each point is observed with one standard deviation."""
     columns, subject = _columns(f"{column} point sigma"), f"point {{point}} of {called(name)} {{{column}}}"
     return TableSchema(name, subject, columns, meaning, kind, plain=True, owner=owner)
 
@@ -105,7 +105,7 @@ _SCHEMAS = (
         "images",
         "image {image}",
         (*_columns("image camera X0 Y0 Z0"), *_columns("{0} {1} {2}", empty=APPROXIMATE)),
-        "approximate values; an empty centre or attitude is found from the rays",
+        "approximate values; an empty centre or attitude is computed from the rays",
     ),
     TableSchema(
         "rays",
@@ -117,13 +117,13 @@ _SCHEMAS = (
         "points",
         "point {point}",
         _columns("point X Y Z"),
-        "approximate; what is missing comes from the control, else from forward intersection",
+        "approximate; missing values come from the control, else from forward intersection",
     ),
     TableSchema(
         "control",
         "point {point}",
         _columns("point X Y Z sX sY sZ role [cXY] [cXZ] [cYZ] [category]"),
-        "role `control`: sigma 0 holds, empty does not observe, else weighted; `check`: not used; cXY, cXZ, cYZ: "
+        "`control`: sigma 0 fixes the coordinate, empty: not observed; else weighted; `check`: unused; cXY, cXZ, cYZ: "
         "covariances; category: one of [identification]",
         lambda *_: CONTROL,
     ),
@@ -144,7 +144,7 @@ _SCHEMAS = (
     ),
     _pair("distances", "distance", "in space"),
     _pair("horizontal_distances", "distance", "in the XY plane"),
-    _pair("height_differences", "difference", "Z of `to` less Z of `from`"),
+    _pair("height_differences", "difference", "Z of `to` minus Z of `from`"),
     _pair("azimuths", "azimuth", "clockwise from +Y"),
     _pair("zenith_angles", "angle", "in the first face"),
     _pair(
@@ -154,12 +154,12 @@ _SCHEMAS = (
         OwnerSchema((("orientation", Unit.ANGLE),), same="from"),
         "set",
     ),
-    _pair("scale_bars", "", "where the bar lay", OwnerSchema((("length", Unit.OBJECT),), table="bars"), "bar"),
+    _pair("scale_bars", "", "position of the bar", OwnerSchema((("length", Unit.OBJECT),), table="bars"), "bar"),
     TableSchema(
         "bars",
         "bar {bar}",
         (*_columns("bar", holds=Holds.TEXT), *_columns("length"), *_columns("sigma", empty="", zero="")),
-        "lengths of scale bars; sigma: 0 holds, empty is unknown, else observed",
+        "lengths of scale bars; sigma: 0 fixes the length, empty means unknown, else observed",
     ),
     _figure(
         "plumb_lines",
@@ -199,7 +199,7 @@ TABLES: dict[str, TableSchema] = {schema.name: schema for schema in _SCHEMAS}
 
 
 def table_of_kind() -> dict[ObservationKind, TableSchema]:
-    """The table of each kind of observation that is read and written by its columns alone."""
+    """The table of each kind of observation that is read and written by its columns only."""
     return {kind: schema for schema in TABLES.values() if schema.plain for kind in schema.kinds()}
 
 
@@ -213,10 +213,10 @@ def format_tables() -> str:
 
 
 def format_columns() -> str:
-    """Every column of every table in Markdown: what it holds, its unit, and whether it may be absent, empty or 0."""
+    """Every column of every table in Markdown: its content, its unit, and whether it may be absent, empty or 0."""
     lines: list[str] = []
     for schema in TABLES.values():
         lines += ["", f"### {schema.name}.csv", "", f"{schema.meaning[0].upper()}{schema.meaning[1:]}.", ""]
-        lines += ["| column | holds | unit | may be |", "|---|---|---|---|"]
+        lines += ["| column | content | unit | may be |", "|---|---|---|---|"]
         lines += [f"| {c.words} | {c.holds.value} | {c.unit.words} | {', '.join(c.may_be)} |" for c in schema.columns]
     return "\n".join(lines[1:]) + "\n"

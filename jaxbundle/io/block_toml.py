@@ -1,4 +1,4 @@
-"""Reading and writing block.toml; what is wrong in it is told with its line."""
+"""Reading and writing block.toml; each problem is reported with its line."""
 
 import functools
 import json
@@ -18,13 +18,13 @@ from jaxbundle.geometry.rotation import OMEGA_PHI_KAPPA, ROTATION_SYSTEMS, Rotat
 from jaxbundle.io.block_tables import REQUIRED, TABLES
 from jaxbundle.io.noted import Noted, listed
 from jaxbundle.io.settings import SECTIONS, Settings
-from jaxbundle.io.text import read_text
+from jaxbundle.io.text_files import read_text
 
 FILE = "block.toml"
 LONGEST = 4_000_000  # characters: thousands of cameras
-MANY = 50  # problems of one block.toml that are told
+MANY = 50  # problems of one block.toml that are reported
 UNQUOTED = re.compile(r"([A-Za-z0-9_-]+)\s*=\s*([^\W\d][^\"'\[\]{}=#]*)")  # key = text without quotes
-OF_NAMES = ("cameras", "navigation")  # sections of which each has a name
+OF_NAMES = ("cameras", "navigation")  # sections with a name
 EXAMPLES = {
     "format": "format = 1",
     "units": '[units] object = "m", angle = "deg"',
@@ -43,7 +43,7 @@ BARE_KEY = re.compile(r"[A-Za-z0-9_-]+")
 
 @dataclass(frozen=True)
 class BlockToml:
-    """`settings` is None where something in the file is wrong; `raw` is what could be read, `text` the file."""
+    """`settings` is None where the file has a problem; `raw` is the part that could be read, `text` the file."""
 
     settings: Settings | None
     raw: dict[str, Any]
@@ -51,7 +51,7 @@ class BlockToml:
 
     @property
     def tables(self) -> dict[str, str]:
-        """File names of the tables, as far as they are given; the usual names where none is."""
+        """File names of the tables that are given; the usual names where none is given."""
         given = self.raw.get("tables")
         if not isinstance(given, dict) or not given:
             given = {kind: TABLES[kind].file for kind in REQUIRED}
@@ -59,7 +59,7 @@ class BlockToml:
 
     @property
     def camera_names(self) -> tuple[str, ...] | None:
-        """Names of the cameras; None where they cannot be told."""
+        """Names of the cameras; None where they could not be read."""
         cameras = self.raw.get("cameras")
         return tuple(cameras) if isinstance(cameras, dict) else None
 
@@ -71,14 +71,14 @@ class BlockToml:
 
     @property
     def rotation_system(self) -> RotationSystem:
-        """The rotation system; where none can be told, that of the angles found most often."""
+        """The rotation system; where it could not be read, omega-phi-kappa, the most frequent one."""
         section = self.raw.get("rotation")
         name = section.get("system") if isinstance(section, dict) else None
         return ROTATION_SYSTEMS.get(str(name), OMEGA_PHI_KAPPA)
 
     @property
     def half_turn(self) -> float:
-        """Half a turn in the unit of the angles; that of degrees where the unit cannot be told."""
+        """Half a turn in the unit of the angles; 180 degrees where the unit could not be read."""
         return math.pi / RADIANS[self.settings.units.angle if self.settings else "deg"]
 
     @property
@@ -92,7 +92,7 @@ class BlockToml:
 
 
 def read_block_toml(path: Path, noted: Noted) -> BlockToml:
-    """block.toml at this path, all that is wrong in it noted."""
+    """Reads block.toml at this path; all its problems are noted."""
     text = read_text(path, noted)
     if text is None:
         return BlockToml(None, {}, "")
@@ -100,13 +100,13 @@ def read_block_toml(path: Path, noted: Noted) -> BlockToml:
     if raw is None:
         return BlockToml(None, {}, text)
     for where in hidden_texts(raw):
-        what = f"{' '.join(map(shown, where))} has a character that is not visible"
-        noted.add(path.name, line_of(text, where), what, "take it out")
+        what = f"{' '.join(map(shown, where))} has an invisible character"
+        noted.add(path.name, line_of(text, where), what, "delete this character")
     return validated(raw, text, noted, path)
 
 
 def validated(raw: dict[str, Any], text: str, noted: Noted, path: Path) -> BlockToml:
-    """Settings checked, all that is wrong in them noted; `text`: that of the file they were read from, if they were."""
+    """Checks settings and notes all problems; `text`: the text of their file, if there is one."""
     try:
         return BlockToml(Settings.model_validate(raw), raw, text)
     except ValidationError as error:
@@ -126,12 +126,12 @@ def validated(raw: dict[str, Any], text: str, noted: Noted, path: Path) -> Block
 
 
 def _in_words(error: ErrorDetails, loc: tuple[str, ...], folder: Path) -> tuple[str, str]:
-    """A finding of pydantic as problem and cure; `folder` is that of the block."""
+    """A validation error of pydantic as problem and cure; `folder` is that of the block."""
     if error["type"] == "missing":
         return _missing(_place(loc)[1], loc, folder)
     if error["type"] == "extra_forbidden":
         known = (SECTIONS[loc[2] if len(loc) > 3 else loc[0]] if len(loc) > 1 else Settings).model_fields
-        return f"{_place(loc)[1]} is unknown", f"known here: {', '.join(known)}"
+        return f"{_place(loc)[1]} is unknown", f"known keys: {', '.join(known)}"
     return value_in_words(error, loc)
 
 
@@ -142,7 +142,7 @@ def _place(loc: tuple[str, ...]) -> tuple[str, str]:
 
 
 def value_in_words(error: ErrorDetails, loc: tuple[str, ...]) -> tuple[str, str]:
-    """A finding of pydantic about a value as problem and cure."""
+    """A validation error of pydantic about a value, as problem and cure."""
     given, key = _given(error["input"]), loc[-1]
     section, where = _place(loc)
     match error["type"]:
@@ -162,7 +162,7 @@ def value_in_words(error: ErrorDetails, loc: tuple[str, ...]) -> tuple[str, str]
         case "list_type":
             return f"{where} is {given}", f"give a list in brackets, such as {key} = [{given}]"
         case "string_type":
-            return f"{where} is {given}", f'give a text in quotes, such as {key} = "{given}"'
+            return f"{where} is {given}", f'put the text in quotes, such as {key} = "{given}"'
         case "float_type" | "int_type" | "float_parsing" | "int_from_float":
             return f"{where} is {given}", "give a number, without quotes and without unit"
         case "finite_number":
@@ -183,13 +183,13 @@ def _missing(where: str, loc: tuple[str, ...], folder: Path) -> tuple[str, str]:
         return "[tables] is missing", f"add it and name the tables below it: [tables] {files}"
     said = f"[{name}]" if len(loc) == 1 and name != "format" else where
     example = EXAMPLES.get(name, "")
-    return f"{said} is missing", f"give it, such as {example}" if example else "give it"
+    return f"{said} is missing", f"add it, such as {example}" if example else "add it"
 
 
 def parsed_toml(file: str, text: str, noted: Noted) -> dict[str, Any] | None:
     """The content of a TOML file; None and a note where it is not TOML."""
     if len(text) > LONGEST:
-        noted.add(file, 0, f"the file has {len(text)} characters", "give a block.toml; rows belong in tables")
+        noted.add(file, 0, f"the file has {len(text)} characters", "give a block.toml; write rows into the tables")
         return None
     try:
         return tomllib.loads(text)
@@ -202,7 +202,7 @@ def parsed_toml(file: str, text: str, noted: Noted) -> dict[str, Any] | None:
         cure = "correct the line"
         if bare := UNQUOTED.fullmatch(at):
             cure = f'put text in quotes: {bare[1]} = "{shown(bare[2])}"'
-        noted.add(file, line, f"no valid TOML: {shown(str(error).split(' (at ')[0])}: {shown(at)}", cure)
+        noted.add(file, line, f"not valid TOML:  {shown(str(error).split(' (at ')[0])}: {shown(at)}", cure)
     return None
 
 
@@ -224,7 +224,7 @@ def hidden_texts(raw: dict[str, Any]) -> list[tuple[str, ...]]:
 
 @functools.lru_cache(maxsize=4)
 def _paths(text: str) -> tuple[tuple[int, tuple[str, ...]], ...]:
-    """The lines of a text that open a section or give a key, with its path from the top."""
+    """The lines of a text that open a section or set a key, each with the full path of the key."""
     section: tuple[str, ...] = ()
     found = []
     for number, line in enumerate(text.split("\n"), 1):
@@ -252,7 +252,7 @@ def _path(line: str) -> tuple[bool, tuple[str, ...]]:
 
 
 def line_of(text: str, path: tuple[str, ...]) -> int:
-    """Line of the longest part of a path that the text names; 0 where it names none."""
+    """Line of the longest part of a path that occurs in the text; 0 where no part occurs."""
     best, found = 0, 0
     for number, here in _paths(text):
         if len(here) > best and here == path[: len(here)]:
@@ -261,7 +261,7 @@ def line_of(text: str, path: tuple[str, ...]) -> int:
 
 
 def write_block_toml(path: Path, settings: Settings) -> None:
-    """Writes block.toml."""
+    """Writes block.toml of a block folder."""
     lines, sections = [], []
     for key, value in settings.model_dump(exclude_none=True).items():
         if not isinstance(value, dict):
@@ -280,7 +280,7 @@ def _key(name: str) -> str:
 
 
 def _value(value: object) -> str:
-    """A value of TOML; numbers in the shortest form that reads back the same."""
+    """A value of TOML; numbers in the shortest form that reads back to the same value."""
     if isinstance(value, dict) and value:
         return "{ " + ", ".join(f"{_key(key)} = {_value(inner)}" for key, inner in value.items()) + " }"
     if isinstance(value, bool):

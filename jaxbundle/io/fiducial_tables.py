@@ -1,4 +1,4 @@
-"""fiducials.csv and fiducial_rays.csv: the inner orientation of scanned film, and the rays brought to mm with it."""
+"""fiducials.csv and fiducial_rays.csv: the inner orientation of scanned film, which transforms rays to mm."""
 
 import dataclasses
 from dataclasses import dataclass
@@ -29,7 +29,7 @@ class _Measured:
 
 
 def with_inner_orientations(tables: FolderTables, toml: BlockToml, noted: Noted) -> FolderTables:
-    """The tables with the rays of scanned film in mm, and the fits; all that is wrong with fiducials is noted."""
+    """The tables with the rays of scanned film in mm, and the fits; problems of fiducials are noted."""
     transformations = _transformations(toml)
     missing = [kind for kind in FIDUCIAL_TABLES if kind not in toml.tables]
     for camera in transformations if missing else ():
@@ -47,12 +47,12 @@ def with_inner_orientations(tables: FolderTables, toml: BlockToml, noted: Noted)
 
 
 def _transformations(toml: BlockToml) -> dict[str, str]:
-    """The transformation of each camera that has one, also where block.toml is wrong elsewhere."""
+    """The transformation of each camera that has one, even if block.toml has other problems."""
     return {name: kind for name, kind in _sections_with_fiducials(toml).items() if kind in PARAMETERS}
 
 
 def _sections_with_fiducials(toml: BlockToml) -> dict[str, str]:
-    """What the cameras say of fiducials, where they do."""
+    """The key `fiducials` of each camera that has it."""
     cameras = toml.raw.get("cameras")
     sections = cameras.items() if isinstance(cameras, dict) else ()
     named = ((name, section.get("fiducials")) for name, section in sections if isinstance(section, dict))
@@ -60,7 +60,7 @@ def _sections_with_fiducials(toml: BlockToml) -> dict[str, str]:
 
 
 def _calibrated(table: Table, toml: BlockToml) -> dict[tuple[str, str], Coordinates]:
-    """Calibrated coordinates by camera and fiducial."""
+    """Calibrated coordinates of each camera and fiducial."""
     fiducials, cameras = table.names("fiducial"), table.text["camera"].to_list()
     known, with_fiducials = toml.camera_names, _sections_with_fiducials(toml)
     if known is not None:
@@ -103,9 +103,9 @@ def _measured(
 def _fits(
     measured: _Measured, images: ImageRows, transformations: dict[str, str], noted: Noted
 ) -> dict[int, InnerOrientation]:
-    """The inner orientation of each image whose camera has fiducials; what does not determine one is noted.
+    """The inner orientation of each image whose camera has fiducials; images without a determined one are noted.
 
-    Nothing is told of images, cameras and fiducials in rows that are wrong: it would follow from those.
+    Images, cameras and fiducials that occur in wrong rows are not reported: that would follow from those rows.
     """
     fits = {}
     order = np.argsort(measured.image, kind="stable")
@@ -130,7 +130,7 @@ def _fits(
 def _rays_in_mm(
     rays: RayRows, fits: dict[int, InnerOrientation], images: ImageRows, cameras: dict[str, CameraSection]
 ) -> RayRows:
-    """The rays, those on scanned film in the system of its fiducials; sigmas by the nominal pixel of the scan."""
+    """All rays; those on scanned film in the system of the fiducials, their sigmas converted by the nominal pixel."""
     matrices, pixel = np.tile(np.eye(3), (len(images.names), 1, 1)), np.ones(len(images.names))
     for image, fit in fits.items():
         matrices[image], pixel[image] = fit.matrix, cameras[images.camera[image]].pixel_size

@@ -1,4 +1,4 @@
-"""What flight.toml says: the camera, the flight, the ground, control, navigation, errors, and a specification."""
+"""Settings of flight.toml: camera, flight, ground, control, navigation, errors, and a specification."""
 
 from collections.abc import Sequence
 from difflib import get_close_matches
@@ -7,7 +7,7 @@ from typing import Annotated, Any, Literal
 from pydantic import BeforeValidator, Field, field_validator, model_validator
 
 from jaxbundle.block.problems import shown
-from jaxbundle.camera.registry import CAMERA_MODELS
+from jaxbundle.camera.camera_models import CAMERA_MODELS
 from jaxbundle.io.ranges import Coefficient, Length, PixelSize, PrincipalDistance, Sigma, Triple, problem
 from jaxbundle.io.settings import Section, coefficient_names
 from jaxbundle.planning.flight import CONTROL_KINDS, CONTROL_LAYOUTS, SYSTEMATIC_OF, TIE_LAYOUTS, AerialCamera
@@ -29,7 +29,7 @@ def _as_share(value: Any) -> Any:
 
 
 def _three(value: Any) -> Any:
-    """One number stands for all three."""
+    """Repeats one number three times."""
     return [float(value)] * 3 if isinstance(value, int | float) and not isinstance(value, bool) else value
 
 
@@ -48,13 +48,13 @@ def _known(name: str, known: tuple[str, ...], what: str) -> str:
 
 
 def meant(name: str, known: Sequence[str]) -> str:
-    """The question for the most similar known name; "" where there is none."""
+    """A question with the most similar known name, such as "did you mean relief?"; "" where no name is similar."""
     match = get_close_matches(name, known, 1)
     return f"did you mean {match[0]}? " if match else ""
 
 
 class CameraSection(Section):
-    """A camera by name, or by its data in mm; single data change those of the name."""
+    """A camera with a known name, or with data in mm; given data replace those of the name."""
 
     name: str | None = None
     principal_distance: PrincipalDistance | None = None
@@ -96,7 +96,7 @@ class CameraSection(Section):
 
     @property
     def camera(self) -> AerialCamera:
-        """The camera."""
+        """The camera of these settings."""
         base = CAMERAS[self.name] if self.name else AerialCamera(0.0, 0.0, 0.0)
         return AerialCamera(
             self.principal_distance or base.principal_distance,
@@ -112,7 +112,7 @@ class CameraSection(Section):
 
 
 class FlightSection(Section):
-    """How the flight is flown; lengths in metres, overlaps as shares or percentages, angles in degrees."""
+    """Pattern of the flight lines; lengths in metres, overlaps as shares or percentages, angles in degrees."""
 
     height: Positive | None = None
     scale: Positive | None = None
@@ -133,9 +133,7 @@ class FlightSection(Section):
     @classmethod
     def _stereo(cls, overlap: float) -> float:
         if overlap < 0.5:
-            raise problem(
-                f"forward_overlap is {overlap}", "give 0.5 (50 percent) or more, so that all lies on two images"
-            )
+            raise problem(f"forward_overlap is {overlap}", "give 0.5 or more: each point must lie on two images")
         return overlap
 
     @model_validator(mode="after")
@@ -146,7 +144,7 @@ class FlightSection(Section):
         if (self.area is None) == (self.strips is None and self.images is None):
             raise problem("has an area and strips, or neither", "give either area, or strips and images")
         if self.area is None and (self.strips is None or self.images is None):
-            raise problem("has strips or images alone", "give both")
+            raise problem("has only one of strips and images", "give both")
         return self
 
 
@@ -169,7 +167,7 @@ class TerrainSection(Section):
 
 
 class TieSection(Section):
-    """Tie points."""
+    """Number and layout of the tie points."""
 
     layout: str = "grid"
     points_per_image: Annotated[int, Field(ge=4)] = 60
@@ -182,7 +180,7 @@ class TieSection(Section):
 
 
 class ControlSection(Section):
-    """Control points of one layout; `sigma` of X, Y, Z in metres, 0 for errorless ones."""
+    """Control points of one layout; `sigma` of X, Y, Z in metres, 0 for coordinates without errors."""
 
     layout: str
     kind: str = "full"
@@ -204,19 +202,19 @@ class ControlSection(Section):
     @model_validator(mode="after")
     def _with_points(self) -> "ControlSection":
         if (self.layout == "points") != bool(self.points):
-            raise problem("points belong to layout = 'points'", "give both or neither")
+            raise problem("layout = 'points' and the key points need each other", "give both or neither")
         return self
 
 
 class CheckSection(Section):
-    """Check points: so many tie points, or places."""
+    """Check points: a number of tie points, or given positions."""
 
     count: Annotated[int, Field(ge=0)] = 0
     points: list[Place] = []
 
 
 class NavigationSection(Section):
-    """Observed centres (metres) or attitudes (degrees); `shift` and `drift` are sizes of the true systematic errors."""
+    """Observed centres (metres) or attitudes (degrees); `shift` and `drift`: sizes of true systematic errors."""
 
     sigma: Annotated[list[Sigma], BeforeValidator(_three), Field(min_length=3, max_length=3)]
     systematic: str = "none"
@@ -233,7 +231,7 @@ class NavigationSection(Section):
 
 
 class SigmaSection(Section):
-    """Standard deviation of image coordinates, in the unit of the rays: px, or mm for a camera without pixels."""
+    """Standard deviation of image coordinates in the unit of the rays: px, or mm for a camera without pixel size."""
 
     image: Sigma
 
@@ -246,7 +244,7 @@ class GrossErrorSection(Section):
 
 
 class SpecificationSection(Section):
-    """Largest standard deviations of X and Y, and of Z, in metres, for a share of the points."""
+    """Maximum standard deviations of X and Y, and of Z, in metres, for a share of the points."""
 
     xy: Positive
     z: Positive

@@ -20,7 +20,7 @@ from jaxbundle.io.flight_settings import (
     meant,
 )
 from jaxbundle.io.noted import Noted
-from jaxbundle.io.text import read_text
+from jaxbundle.io.text_files import read_text
 from jaxbundle.planning.accuracy import Specification
 from jaxbundle.planning.flight import ControlSet, FlightPlan, GrossErrors, Navigation, Terrain, Ties
 from jaxbundle.planning.terrain import grid_heights, slope, waves
@@ -28,7 +28,7 @@ from jaxbundle.planning.terrain import grid_heights, slope, waves
 EXAMPLES = {
     "camera": '[camera] name = "film-153", or principal_distance, width and height in mm',
     "flight": "[flight] height = 1500.0, strips = 3, images = 8",
-    "sigma": "sigma = 0.02, or three numbers for X, Y, Z; 0 for errorless",
+    "sigma": "sigma = 0.02, or three numbers for X, Y, Z; 0 for coordinates without errors",
     "layout": 'layout = "perimeter"',
     "image": "image = 0.3, in px, or in mm for a camera without pixel_size",
     "xy": "xy = 0.02, in metres",
@@ -38,21 +38,21 @@ EXAMPLES = {
 
 
 class PlannedFlight(NamedTuple):
-    """What a file says: the flight, and the specification, if there is one."""
+    """The flight of a file, and its specification, if there is one."""
 
     plan: FlightPlan
     specification: Specification | None
 
 
 def read_flight(path: str | Path) -> PlannedFlight:
-    """A planned flight from a file.
+    """Reads a planned flight from a file.
 
     Args:
-        path: flight.toml, or a folder that holds it.
+        path: flight.toml, or a folder that contains it.
 
     Returns: the flight and its specification.
 
-    Raises: BlockError with everything that is wrong in the file, each with its line and its cure.
+    Raises: BlockError with all problems of the file, each with its line and its cure.
 
     Example: `simulate_flight(read_flight("flight.toml").plan)`
     """
@@ -73,8 +73,8 @@ def read_flight(path: str | Path) -> PlannedFlight:
 
 def _settings(file: str, text: str, raw: dict[str, Any], noted: Noted) -> FlightSettings | None:
     for where in hidden_texts(raw):
-        what = f"{' '.join(map(shown, where))} has a character that is not visible"
-        noted.add(file, line_of(text, where), what, "take it out")
+        what = f"{' '.join(map(shown, where))} has an invisible character"
+        noted.add(file, line_of(text, where), what, "delete this character")
     try:
         return FlightSettings.model_validate(raw)
     except ValidationError as error:
@@ -85,7 +85,7 @@ def _settings(file: str, text: str, raw: dict[str, Any], noted: Noted) -> Flight
 
 
 def _line(text: str, loc: tuple[int | str, ...]) -> int:
-    """The line of a key; of [[control]] in the section of its number."""
+    """The line of a key; for [[control]], in the section with its number."""
     names = tuple(part for part in loc if isinstance(part, str))
     number = next((part for part in loc if isinstance(part, int)), None)
     if loc[0] != "control" or number is None:
@@ -104,10 +104,10 @@ def _in_words(error: ErrorDetails) -> tuple[str, str]:
     where = f"[{loc[0]}] {shown(key)}" if len(loc) > 1 else f"[{key}]" if key in SECTIONS else shown(key)
     if error["type"] == "missing":
         example = EXAMPLES.get(key, "")
-        return f"{where} is missing", f"give it, such as {example}" if example else "give it"
+        return f"{where} is missing", f"add it, such as {example}" if example else "add it"
     if error["type"] == "extra_forbidden":
         known = tuple((SECTIONS[loc[0]] if len(loc) > 1 else FlightSettings).model_fields)
-        return f"{where} is unknown", f"{meant(key, known)}known here: {', '.join(known)}"
+        return f"{where} is unknown", f"{meant(key, known)}known keys: {', '.join(known)}"
     if error["type"] in ("too_short", "too_long"):
         length = error.get("ctx", {}).get("min_length", error.get("ctx", {}).get("max_length"))
         return f"{where} has {len(error['input'])} elements", f"give {length}, in brackets"
@@ -136,7 +136,7 @@ def _terrain(section: TerrainSection, file: Path, text: str, noted: Noted) -> Te
 
 
 def _plan(s: FlightSettings, terrain: Terrain) -> FlightPlan:
-    """The flight of settings that are complete."""
+    """The flight of complete settings."""
     camera, f = s.camera.camera, s.flight
     unit = camera.pixel_size
     height = f.height or (f.scale or 0.0) * camera.principal_distance / 1000

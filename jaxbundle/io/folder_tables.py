@@ -1,6 +1,6 @@
-"""The tables of a block folder, each read and checked against those it refers to.
+"""The tables of a block folder, each read and checked against the tables that it refers to.
 
-Rows that refer to nothing known keep the position -1: they are noted, and the block is not used.
+Rows that refer to an unknown name have the index -1: they are noted, and the block is not used.
 """
 
 import dataclasses
@@ -16,7 +16,7 @@ from jaxbundle.camera.fiducials import InnerOrientation
 from jaxbundle.io.block_tables import COORDINATES, TABLES
 from jaxbundle.io.block_toml import FILE, BlockToml
 from jaxbundle.io.known_tables import KNOWN, KnownRows, identification, known_rows
-from jaxbundle.io.navigation import Navigation, navigation
+from jaxbundle.io.navigation_tables import Navigation, navigation
 from jaxbundle.io.noted import Noted, measured_again
 from jaxbundle.io.observation_tables import Entities, ObservedRows, OwnerRows, observed_rows, owner_rows, points_named
 from jaxbundle.io.schema import Holds
@@ -38,7 +38,7 @@ class ImageRows:
 
 @dataclass(frozen=True)
 class RayRows:
-    """rays.csv; `points` are those it names, in the order of their first appearance, then those on no image."""
+    """rays.csv; `points` are its points in the order of their first row, then the points on no image."""
 
     table: Table
     image: Int[np.ndarray, " ray"]
@@ -58,10 +58,10 @@ class RayRows:
 
 @dataclass(frozen=True)
 class FolderTables:
-    """All tables; `known` are points, control, stations and attitudes as far as they are given.
+    """All tables; `known` are points, control, stations and attitudes, where given.
 
-    `observed` are those of observations that are read by their schemas, `owners` those that give values to their
-    owners. Tables of fiducials are as they were read; `inner_orientations` are their fits, once there are any.
+    `observed` are tables of observations that are read by their schemas, `owners` those with the values of
+    owners. Tables of fiducials are unchanged; `inner_orientations` are their fits, once there are any.
     """
 
     images: ImageRows
@@ -86,20 +86,20 @@ class FolderTables:
 
 
 def _table(folder: Path, toml: BlockToml, kind: str, noted: Noted) -> Table | None:
-    """A table that block.toml names; files elsewhere are refused, so that a folder tells nothing but its own content.
+    """A table that block.toml names; files elsewhere are refused, so that a folder cannot reveal other files.
 
     Links in the folder are followed.
     """
     file = toml.tables[kind]
     if Path(file).is_absolute() or ".." in Path(file).parts:
-        what = f"[tables] {kind} = '{shown(file)}' leads out of the folder"
-        noted.add(FILE, toml.line("tables", kind), what, "copy or link the table into the folder, and give its name")
+        what = f"[tables] {kind} = '{shown(file)}' is outside the folder"
+        noted.add(FILE, toml.line("tables", kind), what, "copy or link the table into the folder, and write its name")
         return None
     return read_table(folder / file, TABLES[kind].in_system(toml.rotation_system), noted, toml.half_turn)
 
 
 def read_tables(folder: Path, toml: BlockToml, noted: Noted) -> dict[str, Table | None]:
-    """Every table that block.toml names, by its kind; None for one that cannot be read as a table."""
+    """All tables that block.toml names; None for one that cannot be read as a table."""
     return {kind: _table(folder, toml, kind, noted) for kind in TABLES if kind in toml.tables}
 
 
@@ -126,7 +126,7 @@ def checked_tables(read: dict[str, Table | None], toml: BlockToml, noted: Noted)
 
 
 def _on_no_image(tables: dict[str, Table], points: Sequence[str]) -> tuple[str, ...]:
-    """Points that take part though on no image: observations name them, and their coordinates are given."""
+    """Points on no image that are used: observations name them, and their coordinates are given."""
     unseen = set(points_named(tables)).difference(points)
     given: dict[str, set[str]] = {}
     for kind in ("points", "control") if unseen else ():
@@ -147,7 +147,7 @@ def _observations(
             owners[needed] = owner_rows(tables[needed])
         if needed and schema.name in toml.tables and needed not in toml.tables:
             columns = ",".join(TABLES[needed].names)
-            cure = f'give a table {columns} and name it: {needed} = "{TABLES[needed].file}"'
+            cure = f'add a table {columns} and name it: {needed} = "{TABLES[needed].file}"'
             noted.add(FILE, toml.line("tables", schema.name), f"[tables] {schema.name} need the table {needed}", cure)
     entities = Entities(rays.points, images.names, images.table.file, owners)
     plain = [kind for kind, schema in TABLES.items() if schema.plain and kind in tables]
@@ -163,7 +163,7 @@ def _images(table: Table, toml: BlockToml) -> ImageRows:
     columns = table.schema.of(Holds.VALUE)
     blank = np.stack([(table.column(column) == "").to_numpy() for column in columns], 1)
     parts = blank[:, :3], blank[:, 3:]
-    # a projection centre or attitude may be left empty as a whole: it is found from the rays
+    # a projection centre or attitude may be entirely empty: it is then computed from the rays
     whole = [np.asarray(part.all(1) | ~part.any(1)) for part in parts]
     spared = np.flatnonzero(whole[0] & whole[1])
     orientations = table.numbers(*columns, spared=spared)
@@ -184,15 +184,15 @@ def _rays(table: Table, images: ImageRows | None, toml: BlockToml) -> RayRows:
     sigmas = table.sigmas("sx", "sy")
     default = toml.sigma
     if default is None and toml.settings and np.isnan(sigmas).any():
-        what = f"[sigma] image is missing, and {np.isnan(sigmas).any(1).sum()} rays have no sx, sy of their own"
-        cure = "give the standard deviation of an image coordinate, in the unit of the rays: [sigma] image = 1.0"
+        what = f"[sigma] image is missing, and {np.isnan(sigmas).any(1).sum()} rays have no sx, sy"
+        cure = "add the standard deviation of an image coordinate, in the unit of the rays: [sigma] image = 1.0"
         table.noted.add(FILE, 0, what, cure)
     sigmas = np.where(np.isnan(sigmas), np.nan if default is None else default, sigmas)
     return RayRows(table, image, positions_of(points, tuple(distinct)), tuple(distinct), coordinates, sigmas)
 
 
 def _repeated(table: Table, image: Int[np.ndarray, " row"], coordinates: Float[np.ndarray, "row 2"]) -> None:
-    """Notes a row that repeats another one; a point measured again on an image is two observations, and is remarked."""
+    """Notes rows that repeat another one. A point measured twice on an image is a remark: both are observations."""
     rows, first = table.repeated("image", "point")
     same = np.isin(rows, table.repeated("image", "point", "x", "y")[0]) | (coordinates[rows] == coordinates[first]).all(
         1

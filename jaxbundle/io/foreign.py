@@ -1,11 +1,11 @@
-"""Well-known forms of blocks and files that are not read, or not complete: recognised and called by their name."""
+"""Recognising well-known formats that are not read, or not complete, in order to name them in messages."""
 
 import codecs
 from pathlib import Path
 
-from jaxbundle.io.text import known_bytes
+from jaxbundle.io.text_files import known_bytes
 
-FOLDERS: tuple[tuple[str, tuple[str, ...]], ...] = (  # what it is, and files of which all are there
+FOLDERS: tuple[tuple[str, tuple[str, ...]], ...] = (  # description, and files that must all exist
     ("a COLMAP model", ("cameras.bin", "images.bin")),
     ("a COLMAP model", ("cameras.txt", "images.txt")),
     ("a COLMAP project", ("database.db",)),
@@ -72,7 +72,7 @@ BEGINNINGS = (  # text in the first bytes of a file
 
 
 def known_folder(folder: Path) -> str:
-    """What a folder is, such as "a COLMAP model"; "" where it has no known form."""
+    """Describes a folder, such as "a COLMAP model"; "" where its form is unknown."""
     for name, files in FOLDERS:
         if all((folder / file).exists() for file in files):
             return name
@@ -80,7 +80,7 @@ def known_folder(folder: Path) -> str:
 
 
 def known_file(path: Path, head: bytes) -> str:
-    """What a file is that begins with `head`, as a statement such as "is compressed (gzip)"; "" if unknown."""
+    """Describes a file that begins with `head`, such as "is compressed (gzip)"; "" if unknown."""
     if head.startswith((codecs.BOM_UTF16_LE, codecs.BOM_UTF16_BE)):
         return "is text in UTF-16"
     said = known_bytes(head)

@@ -1,4 +1,4 @@
-"""The header line of a table: what separates the fields, which columns there are, and what is wrong with them."""
+"""The header line of a table: its separator and columns, and what is wrong with them."""
 
 import csv
 from collections import Counter
@@ -11,12 +11,12 @@ from jaxbundle.io.noted import Noted, listed
 from jaxbundle.io.schema import TableSchema
 
 SEPARATORS = {",": "comma", ";": "semicolon", "\t": "tab"}
-OTHERS = {"|": "'|'", " ": "blanks", ":": "':'"}  # told, not read
-MANY = 100  # columns: several times what any table has
+OTHERS = {"|": "'|'", " ": "blanks", ":": "':'"}  # reported, not read
+MANY = 100  # columns: several times the number of any table
 
 
 class Header(NamedTuple):
-    """The columns in their order, what separates them, and the line in which they stand, counted from 1."""
+    """The columns in their order, their separator, and the number of the header line, counted from 1."""
 
     columns: list[str]
     separator: str
@@ -24,9 +24,9 @@ class Header(NamedTuple):
 
 
 def read_header(file: str, text: str, schema: TableSchema, noted: Noted) -> Header | None:
-    """The header of a table; None and one note where it is not that of such a table.
+    """Finds the header of a table; None and one note where the columns do not fit the table.
 
-    It is the first line that is neither empty nor a comment, which begins with #.
+    The header is the first line that is neither empty nor a comment; a comment begins with #.
     """
     line, number = _first_line(text)
     found = {separator: _fields(line, separator) for separator in (*SEPARATORS, *OTHERS)}
@@ -46,7 +46,7 @@ def read_header(file: str, text: str, schema: TableSchema, noted: Noted) -> Head
 
 
 def _first_line(text: str) -> tuple[str, int]:
-    """The first line of a text that says something, and its number."""
+    """The first line of a text that is neither empty nor a comment, and its number."""
     start = number = 0
     while start < len(text):
         number += 1
@@ -64,13 +64,13 @@ def _fields(line: str, separator: str) -> list[str]:
     else:
         try:
             fields = next(csv.reader([line], delimiter=separator, skipinitialspace=True), [])
-        except csv.Error:  # a field that is longer than the csv module takes
+        except csv.Error:  # a field that is longer than the csv module accepts
             fields = line.split(separator)
     return [field.strip() for field in fields]
 
 
 def problem_of_columns(columns: list[str], schema: TableSchema, line: str) -> tuple[str, str] | None:
-    """What is wrong with the columns of a header, and the cure."""
+    """The problem of the columns of a header, and its cure."""
     needed, known = schema.needed, schema.names
     if not line.strip():
         return "the table has no header", f"begin the table with its header: {','.join(needed)}"
@@ -83,7 +83,7 @@ def problem_of_columns(columns: list[str], schema: TableSchema, line: str) -> tu
     if "" in unknown and not missing and unknown == [""]:
         return "the header has a column without name", "drop the separator at the end of the lines, or name the column"
     if all(map(_is_number, columns)):
-        return f"the first line '{shown(line)}' is no header", f"begin the table with its header: {','.join(needed)}"
+        return f"the first line '{shown(line)}' is not a header", f"begin the table with its header: {','.join(needed)}"
     if not (missing or unknown):
         return (f"{_columns(twice)} given twice", "drop one of the two") if twice else None
     said = [f"{_columns(names)} {what}" for names, what in ((missing, "missing"), (unknown, "unknown")) if names]
@@ -108,7 +108,7 @@ def _columns(names: Sequence[str]) -> str:
 
 
 def _meant(unknown: Sequence[str], missing: Sequence[str]) -> dict[str, str]:
-    """Unknown columns with the missing one that each probably is."""
+    """Unknown columns, each with the missing column that it probably is."""
     meant: dict[str, str] = {}
     for theirs in unknown:
         key = "".join(c for c in theirs.casefold() if c.isalnum())

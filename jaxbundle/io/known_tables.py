@@ -1,8 +1,8 @@
-"""Tables of what is known of points and images: points.csv, control.csv, stations.csv and attitudes.csv.
+"""Tables with known coordinates and angles: points.csv, control.csv, stations.csv and attitudes.csv.
 
-cXY, cXZ, cYZ of control.csv are covariances of the observed coordinates. Its `category` tells how well the point is
-identified on an image: [identification] gives its standard deviation in the unit of the rays, which is added to those
-of all rays of the point: s^2 = s_ray^2 + s_category^2.
+cXY, cXZ, cYZ of control.csv are covariances of the observed coordinates. Its `category` describes how well the point
+is identified on an image: [identification] gives the standard deviation of each category in the unit of the rays. It is
+    added to those of all rays of the point: s^2 = s_ray^2 + s_category^2.
 """
 
 from collections.abc import Sequence
@@ -17,7 +17,7 @@ from jaxbundle.io.schema import Holds
 from jaxbundle.io.tables import Table, positions_of, where
 
 COVARIANCES = ("cXY", "cXZ", "cYZ")
-PLACES = ((0, 1), (0, 2), (1, 2))  # of the covariances in the matrix
+PLACES = ((0, 1), (0, 2), (1, 2))  # positions of the covariances in the matrix
 KNOWN = ("points", "control", "stations", "attitudes")
 ROLES = ("control", "check")
 
@@ -26,7 +26,7 @@ ROLES = ("control", "check")
 class KnownRows:
     """Coordinates of points or images, or angles; NaN where not given.
 
-    `covariances` of control, None where they are not correlated.
+    `covariances` of control points; None where the coordinates are not correlated.
     """
 
     table: Table
@@ -39,17 +39,17 @@ class KnownRows:
 
     @property
     def held(self) -> Bool[np.ndarray, "row 3"]:
-        """Coordinates of sigma 0."""
+        """Mask of coordinates with sigma 0, which are fixed."""
         return self._takes_part & (self.sigmas == 0)
 
     @property
     def observed(self) -> Bool[np.ndarray, "row 3"]:
-        """Coordinates with a weight."""
+        """Mask of coordinates with a weight."""
         return self._takes_part & (self.sigmas > 0)
 
     @property
     def members(self) -> Int[np.ndarray, " member"]:
-        """Rows with a weighted coordinate."""
+        """Mask of rows with a weighted coordinate."""
         return np.flatnonzero(self.observed.any(1))
 
     @property
@@ -58,7 +58,7 @@ class KnownRows:
 
 
 def known_rows(table: Table, points: Sequence[str], images: Sequence[str], images_file: str) -> KnownRows:
-    """One of these tables; `images_file` is the file that defines the images."""
+    """Reads one of these tables; `images_file` is the file that defines the images."""
     kind, schema = table.schema.name, table.schema
     if schema.of(Holds.IMAGE):
         known, position = table.text["image"], table.positions("image", images, images_file)
@@ -73,7 +73,7 @@ def known_rows(table: Table, points: Sequence[str], images: Sequence[str], image
         sigmas = table.sigmas(*schema.of(Holds.SIGMA))
         for k, name in enumerate(columns):
             rows = np.flatnonzero((sigmas[:, k] == 0) & np.isnan(coordinates[:, k]))
-            table.note(rows, f"s{name} = 0 holds {name}, which is not given", f"give {name} or leave s{name} empty")
+            table.note(rows, f"s{name} = 0 fixes {name}, which is not given", f"give {name} or leave s{name} empty")
     check, together = np.zeros(len(known), bool), None
     if kind == "control":
         check = _check(table)
@@ -82,7 +82,7 @@ def known_rows(table: Table, points: Sequence[str], images: Sequence[str], image
 
 
 def _check(table: Table) -> Bool[np.ndarray, " row"]:
-    """The rows of check points; a role that is not given or unknown is noted."""
+    """Mask of the rows of check points; a missing or unknown role is noted."""
     role = table.text["role"].str.to_lowercase()
     table.note(where(role == ""), "role is not given", f"give one of {', '.join(ROLES)}")
     unknown = where(~role.is_in(["", *ROLES]))
@@ -91,7 +91,7 @@ def _check(table: Table) -> Bool[np.ndarray, " row"]:
 
 
 def _one_role(table: Table) -> None:
-    """Notes a control point that stands in two rows, with two roles or with one."""
+    """Notes control points that occur in two rows, with the same role or with two roles."""
     rows, first = table.repeated("point")
     role = table.text["role"].str.to_lowercase()
     roles = dict(zip(rows.tolist(), zip(role.gather(first), table.lines[first].tolist(), strict=True), strict=True))
@@ -106,7 +106,7 @@ def _one_role(table: Table) -> None:
 def _covariances(
     table: Table, sigmas: Float[np.ndarray, "row 3"], observed: Bool[np.ndarray, "row 3"]
 ) -> Float[np.ndarray, "row 3 3"] | None:
-    """Covariance matrices of the coordinates, 1 on the diagonal of what is not observed; None where none is given."""
+    """Covariance matrices of the coordinates, with 1 on the diagonal if not observed; None where none is given."""
     given = table.numbers(*COVARIANCES)
     if not np.isfinite(given).any():
         return None
@@ -115,7 +115,11 @@ def _covariances(
         known = np.isfinite(values)
         x, y = column[1:]
         rows = np.flatnonzero(known & ~(observed[:, a] & observed[:, b]))
-        table.note(rows, f"{column} is given, but not both sigmas of observed {x} and {y}", "give them, or drop it")
+        table.note(
+            rows,
+            f"{column} is given, but not both sigmas of observed {x} and {y}",
+            "give both, or drop the covariance",
+        )
         both = np.where(known & observed[:, a] & observed[:, b], values, 0.0)
         matrices[:, a, b] = matrices[:, b, a] = both
     scale = 1 / np.sqrt(np.diagonal(matrices, axis1=1, axis2=2))
@@ -129,7 +133,7 @@ def _covariances(
 def identification(
     table: Table, point: Int[np.ndarray, " row"], points: int, toml: BlockToml
 ) -> Float[np.ndarray, " point"]:
-    """Standard deviation of the identification of each object point; 0 where its category is not given."""
+    """Standard deviation of the identification of each object point; 0 for points without category."""
     known = (toml.settings.identification if toml.settings else None) or {}
     deviations, unknown = np.zeros(points), []
     categories = table.column("category").to_list()
@@ -141,6 +145,6 @@ def identification(
     table.note(
         unknown,
         lambda row: f"category '{shown(categories[row])}' is not in [identification] of {FILE}",
-        "give its standard deviation there, correct the name or leave it empty",
+        "add its standard deviation there, correct the name or leave it empty",
     )
     return deviations

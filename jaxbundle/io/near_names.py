@@ -1,4 +1,4 @@
-"""Names that are not known and would be, but for a prefix, an extension, a leading zero, blanks, case or a slip."""
+"""Unknown names that differ from known ones by a prefix, an extension, a leading zero, blanks, case or a slip."""
 
 import os
 import re
@@ -9,19 +9,19 @@ from jaxbundle.block.problems import shown
 
 EXTENSION = re.compile(r"\.[A-Za-z][A-Za-z0-9]{1,3}$")
 DECIMALS = re.compile(r"\.0+$")
-LEAST = 0.2  # of the unknown names have to match: fewer do so by chance
-SHORTEST = 3  # characters of a name in which one of them may be wrong
+LEAST = 0.2  # minimum share of the unknown names that must match: fewer match by chance
+SHORTEST = 3  # minimum number of characters of a name in which one may be wrong
 
 
 class Match(NamedTuple):
-    """`pairs`: each unknown name that matches, and the known one; `words`: how, such as "without '.tif'"."""
+    """Matches of unknown names. `pairs`: unknown and known name; `words`: the change, such as "without '.tif'"."""
 
     pairs: dict[str, str]
     words: str
-    of: int  # unknown names
+    of: int  # number of unknown names
 
     def __str__(self) -> str:
-        """Such as "all 16 names match without 'GCP', such as 317 for GCP317"."""
+        """The matches in one sentence, such as "all 16 names match without 'GCP', such as 317 for GCP317"."""
         (unknown, known), *_ = self.pairs.items()
         found = len(self.pairs)
         how = f" {self.words}" if self.words else ""
@@ -44,19 +44,19 @@ def _stem(name: str) -> str:
 
 
 SIMPLE: tuple[tuple[str, Callable[[str], str]], ...] = (
-    ("but for upper and lower case or blanks", _folded),
+    ("except for upper and lower case or blanks", _folded),
     ("without the decimal '.0'", _without(DECIMALS)),
     ("without leading zeros", lambda name: name.lstrip("0") or "0"),
     ("without the folder", _stem),
     ("without the extension", lambda name: EXTENSION.sub("", _stem(name))),
-    ("but for '-', '_', '.' or blanks", lambda name: re.sub(r"[-_.\s]", "", name).casefold()),
+    ("except for '-', '_', '.' or blanks", lambda name: re.sub(r"[-_.\s]", "", name).casefold()),
 )
 
 
 def nearest(unknown: Iterable[str], known: Sequence[str]) -> Match | None:
-    """The change under which most unknown names are known ones; None where none of them becomes known.
+    """The change that makes the maximum number of unknown names known; None where it makes none known.
 
-    A change that makes two known names alike matches neither of them.
+    A change that makes two known names equal matches neither of them.
     """
     wanted = [name for name in dict.fromkeys(unknown) if name]
     if not wanted or not known:
@@ -68,7 +68,7 @@ def nearest(unknown: Iterable[str], known: Sequence[str]) -> Match | None:
 
 
 def _exact(words: str, names: Sequence[str]) -> str:
-    """The extension itself in the place of the word, where all names have the same."""
+    """Puts the extension itself into the words, where all names have the same extension."""
     found = {match[0] if (match := EXTENSION.search(name)) else "" for name in names}
     return (
         f"without '{shown(found.pop())}'"
@@ -89,7 +89,7 @@ def _pairs(wanted: Sequence[str], known: Sequence[str], change: Callable[[str], 
 
 
 def _prefixes(wanted: Sequence[str], known: Sequence[str]) -> list[tuple[str, Callable[[str], str]]]:
-    """Removals of what all unknown names, or all known ones, begin with: as far as the first digit, or all of it."""
+    """Changes that remove the common prefix of all unknown or all known names, up to the first digit, or whole."""
     found = []
     for names, of in ((wanted, ""), (known, " of the known names")):
         common = os.path.commonprefix(names) if len(names) > 1 else names[0]
@@ -101,8 +101,8 @@ def _prefixes(wanted: Sequence[str], known: Sequence[str]) -> list[tuple[str, Ca
 
 
 def slip(name: str, known: Iterable[str]) -> str:
-    """The one known name that an exchange of two neighbouring characters makes of a name, else one wrong, missing or
-    additional character; "" where there is none or more than one."""
+    """Finds the only known name that differs by one slip; "" where there is none or more than one. An exchange of two
+    neighbouring characters counts before one wrong, missing or additional character."""
     if len(name) < SHORTEST:
         return ""
     exchanged, replaced = [], []
@@ -117,7 +117,7 @@ def slip(name: str, known: Iterable[str]) -> str:
 
 
 def _slip(a: str, b: str) -> int:
-    """2: two neighbouring characters are exchanged; 1: one character differs, is missing or additional; 0: else."""
+    """2: two neighbouring characters are exchanged; 1: one character differs, is missing or additional; 0: neither."""
     same = len(os.path.commonprefix((a, b)))
     rest_a, rest_b = a[same:], b[same:]
     if len(a) == len(b):

@@ -1,7 +1,7 @@
-"""From the rows of a block folder's tables to groups of observations, and the parameters they bring along.
+"""Groups of observations and their parameters from the rows of a block folder's tables.
 
-What the tables do not tell is NaN, and found from approximate coordinates (orientation/figures.py): the orientations of
-sets of directions, planes and lines.
+Values that are not in the tables are NaN and are computed from approximate coordinates
+(orientation/planes_and_lines.py): the orientations of sets of directions, planes and lines.
 """
 
 from dataclasses import dataclass, field
@@ -10,7 +10,7 @@ import numpy as np
 from jaxtyping import Int
 
 from jaxbundle.block.block import Owner, Parameter
-from jaxbundle.block.observations import (
+from jaxbundle.block.observation_kinds import (
     CONTROL,
     PARAMETERS,
     STATIONS,
@@ -23,7 +23,7 @@ from jaxbundle.block.wording import RADIANS
 from jaxbundle.io.block_toml import BlockToml
 from jaxbundle.io.folder_tables import FolderTables
 from jaxbundle.io.known_tables import KnownRows
-from jaxbundle.io.navigation import SYSTEMATIC, axes_of, navigation_kind, parameter_name, section_of, unit_of
+from jaxbundle.io.navigation_tables import SYSTEMATIC, axes_of, navigation_kind, parameter_name, section_of, unit_of
 from jaxbundle.io.observation_tables import ObservedRows, OwnerRows
 from jaxbundle.io.schema import Unit
 from jaxbundle.io.settings import CameraSection, Settings
@@ -39,7 +39,7 @@ class Found:
     priors: list[tuple[int, float, float]] = field(default_factory=list)
 
     def add(self, parameter: Parameter, value: float, sigma: float = np.nan) -> int:
-        """Adds a parameter, observed where it has a sigma; its number."""
+        """Adds a parameter, observed where it has a sigma, and returns its number."""
         number = len(self.parameters)
         self.parameters.append(parameter)
         self.values.append(value)
@@ -73,7 +73,7 @@ def _coordinate_group(kind: ObservationKind, rows: KnownRows, members: np.ndarra
 
 
 def _plain_stations(found: Found, tables: FolderTables) -> None:
-    """Stations without systematic errors: those of no group."""
+    """Stations without systematic errors, which are the stations without group."""
     if "stations" in tables.known:
         rows = tables.known["stations"]
         members = rows.members[tables.navigation.rows["stations"].group[rows.members] < 0]
@@ -82,7 +82,7 @@ def _plain_stations(found: Found, tables: FolderTables) -> None:
 
 
 def _observations(found: Found, rows: ObservedRows, owners: OwnerRows | None, settings: Settings) -> None:
-    """The observations of one table: a group for each sort of ends."""
+    """The observations of one table: one group for each combination of ends (point or image)."""
     schema, owner = rows.table.schema, rows.table.schema.owner
     assert schema.kind is not None
     factor = RADIANS[settings.units.angle] if schema.unit is Unit.ANGLE else 1.0
@@ -109,7 +109,7 @@ def _observations(found: Found, rows: ObservedRows, owners: OwnerRows | None, se
 
 
 def _from_first(rows: ObservedRows, used: np.ndarray) -> tuple[Int[np.ndarray, " row"], Int[np.ndarray, "row 2"]]:
-    """The rows behind the first of each owner, owner by owner, and the points of the first row and their own."""
+    """All rows but the first of each owner, with the points of the first row and their own points."""
     order = used[np.argsort(rows.owner[used], kind="stable")]
     starts = np.diff(rows.owner[order], prepend=-1) != 0
     first = order[np.flatnonzero(starts)[np.cumsum(starts) - 1]] if len(order) else order
@@ -120,7 +120,7 @@ def _from_first(rows: ObservedRows, used: np.ndarray) -> tuple[Int[np.ndarray, "
 def _parameter(
     found: Found, rows: ObservedRows, owner: int, which: int, owners: OwnerRows | None, settings: Settings
 ) -> int:
-    """The number of one of the parameters of an owner; its value is NaN where no table gives it."""
+    """Adds one parameter of an owner and returns its number; the value is NaN where no table gives it."""
     schema = rows.table.schema
     assert schema.owner is not None
     called, quantity = schema.owner.parameters[which]
@@ -133,7 +133,7 @@ def _parameter(
 
 
 def _navigation(found: Found, kind: str, tables: FolderTables, toml: BlockToml, settings: Settings) -> None:
-    """Stations of groups, or attitudes: nine parameters for each group, of which a few are unknown."""
+    """Stations of groups, or attitudes: nine parameters for each group; only some of them are unknown."""
     if kind not in tables.known:
         return
     known, rows = tables.known[kind], tables.navigation.rows[kind]
@@ -154,7 +154,7 @@ def _navigation(found: Found, kind: str, tables: FolderTables, toml: BlockToml, 
 
 
 def _navigation_parameters(found: Found, kind: str, name: str, toml: BlockToml, settings: Settings) -> list[int]:
-    """Numbers of the nine parameters of one group."""
+    """Adds the nine parameters of one group and returns their numbers."""
     section, numbers = section_of(toml, name), []
     owner = Owner("navigation", name) if name else None
     factor, unit = unit_of(kind, settings.units.object, settings.units.angle)
@@ -170,7 +170,7 @@ def _navigation_parameters(found: Found, kind: str, name: str, toml: BlockToml, 
 
 
 def interior_groups(sections: list[CameraSection]) -> list[ObservationGroup]:
-    """Interior elements known before, of the cameras in their order; a group for each camera model."""
+    """Observed interior elements of the cameras in their order; one group for each camera model."""
     groups = []
     for model in dict.fromkeys(section.model for section in sections if section.priors):
         members = [k for k, section in enumerate(sections) if section.model is model and section.priors]
@@ -182,7 +182,7 @@ def interior_groups(sections: list[CameraSection]) -> list[ObservationGroup]:
 
 
 def interior_values(section: CameraSection) -> dict[str, float]:
-    """The interior elements that a section of block.toml gives; all others are 0."""
+    """The interior elements that a section of block.toml gives; all other elements are 0."""
     x0, y0 = section.principal_point or (0.0, 0.0)
     return {
         "principal_distance": section.principal_distance,

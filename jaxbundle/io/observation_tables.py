@@ -1,4 +1,4 @@
-"""Tables of what is observed between points and images, and of points on common figures, read by their schemas.
+"""Reading tables of observations between points and images, and of points on common figures, by their schemas.
 
 `from` and `to` are names of points, or "image:" and the name of an image for its projection centre. Angles and their
 sigmas are in the unit of the folder.
@@ -26,9 +26,9 @@ UNKNOWN_POINT = (
 
 @dataclass(frozen=True)
 class OwnerRows:
-    """A table that gives a value to each owner, such as the lengths of scale bars.
+    """A table with one value for each owner, such as the lengths of scale bars.
 
-    Sigma 0 holds the value, NaN leaves it unknown, else it is observed.
+    Sigma 0 fixes the value, NaN makes it unknown, otherwise it is observed.
     """
 
     table: Table
@@ -38,7 +38,7 @@ class OwnerRows:
 
 
 class Entities(NamedTuple):
-    """What the rows of a table may name; `owners`: those that a table of their own defines, by this table."""
+    """Names that the rows of a table may use; `owners`: names that another table defines, by this table."""
 
     points: Sequence[str]
     images: Sequence[str]
@@ -48,9 +48,10 @@ class Entities(NamedTuple):
 
 @dataclass(frozen=True)
 class ObservedRows:
-    """Rows of one table; `is_image` tells whether an index is that of an image or of a point.
+    """Rows of one table; `is_image`: whether an index is that of an image or of a point.
 
-    `owners` are the sets, bars or figures in the order of their first row. Where the table has no values they are 0.
+    `owners` are the sets, bars or figures in the order of their first row. `values` are 0 where the table has no
+    values.
     """
 
     table: Table
@@ -63,19 +64,19 @@ class ObservedRows:
 
     @property
     def usable(self) -> Bool[np.ndarray, " row"]:
-        """Rows whose points, images and owner are known and whose values are numbers."""
+        """Mask of rows whose points, images and owner are known and whose values are numbers."""
         return (self.indices >= 0).all(1) & (self.owner >= 0) & np.isfinite(self.values).all(1)
 
 
 def points_named(tables: Mapping[str, Table]) -> Iterable[str]:
-    """The points that tables of observations name."""
+    """Names of the points in tables of observations."""
     for schema in TABLES.values():
         for column in schema.of(Holds.POINT, Holds.END) if schema.plain and schema.name in tables else ():
             yield from (name for name in tables[schema.name].text[column] if name and not name.startswith(IMAGE))
 
 
 def observed_rows(table: Table, entities: Entities) -> ObservedRows:
-    """A table of observations."""
+    """Reads a table of observations."""
     schema = table.schema
     named = [_entity(table, column, entities) for column in schema.entities]
     is_image, indices = (np.stack(part, 1) for part in zip(*named, strict=True))
@@ -96,7 +97,7 @@ def observed_rows(table: Table, entities: Entities) -> ObservedRows:
 
 
 def _entity(table: Table, column: str, entities: Entities) -> tuple[Bool[np.ndarray, " row"], Int[np.ndarray, " row"]]:
-    """Which fields of a column name images, and their positions among the images or points."""
+    """Whether each field of a column names an image, and its index among the images or points."""
     holds, nothing = table.schema.column(column).holds, np.zeros(len(table.lines), bool)
     if holds is Holds.IMAGE:
         return ~nothing, table.positions(column, entities.images, entities.images_file)
@@ -151,16 +152,16 @@ def _require_same(table: Table, same: str, owners: Sequence[str]) -> None:
         name = table.text[column][row]
         return f"{column} {shown(name)} was observed from {shown(first[name][0])} (line {first[name][1]})"
 
-    table.note(wrong, words, f"give it a {column} of its own")
+    table.note(wrong, words, f"give it its own {column}")
 
 
 def _require_rows(table: Table, owner: OwnerSchema, numbers: Int[np.ndarray, " row"], owners: tuple[str, ...]) -> None:
-    """Notes the first owner that has too few rows."""
+    """Notes the first owner with too few rows."""
     count = np.bincount(numbers[numbers >= 0], minlength=len(owners))
     few = np.flatnonzero(count < owner.min_rows)
     if len(few):
         first = [table.lines[np.argmax(numbers == k)] for k in few]
-        what = f"{table.schema.row} {shown(owners[few[0]])} has {count[few[0]]} of the {owner.min_rows} points it needs"
+        what = f"{table.schema.row} {shown(owners[few[0]])} has {count[few[0]]} of at least {owner.min_rows} points"
         table.noted.add_rows(table.file, first, what, "name more of its points or drop it")
 
 
@@ -175,10 +176,10 @@ def owner_rows(table: Table) -> OwnerRows:
 
 
 def unused(names: Sequence[str], used: Iterable[int], what: str) -> list[str]:
-    """A sentence about what is defined and not used."""
+    """A sentence about names that are defined and not used."""
     taken = set(used)
     left = [name for k, name in enumerate(names) if k not in taken]
     if not left:
         return []
-    be, take = ("is", "takes") if len(left) == 1 else ("are", "take")
-    return [f"{what}{'' if len(left) == 1 else 's'} {listed(left)} {be} in no table and {take} no part"]
+    be = "is" if len(left) == 1 else "are"
+    return [f"{what}{'' if len(left) == 1 else 's'} {listed(left)} {be} in no table and {be} not used"]

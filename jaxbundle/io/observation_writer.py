@@ -1,7 +1,7 @@
-"""Observations that are not rays, and their parameters, as tables of a block folder.
+"""Writing observations other than rays, and their parameters, as tables of a block folder.
 
-The format has approximate values of lengths and navigation parameters only: orientations of directions, planes and
-lines are found from the points when the folder is read.
+The format has approximate values only of lengths and navigation parameters. Orientations of directions, planes and
+lines are computed from the points when the folder is read.
 """
 
 from collections import defaultdict
@@ -10,7 +10,7 @@ from typing import NamedTuple
 import numpy as np
 
 from jaxbundle.block.block import Block
-from jaxbundle.block.observations import PARAMETERS, ObservationGroup
+from jaxbundle.block.observation_kinds import PARAMETERS, ObservationGroup
 from jaxbundle.block.problems import Problem
 from jaxbundle.block.wording import IMAGE, RADIANS
 from jaxbundle.io.block_tables import TABLES, table_of_kind
@@ -36,7 +36,7 @@ def priors_of(block: Block) -> dict[int, Prior]:
 
 
 def groups_of(block: Block) -> dict[str, list[ObservationGroup]]:
-    """The groups that belong to each table, in the order in which the reader makes them."""
+    """The groups of each table, in the order in which the reader makes them."""
     tables, found = table_of_kind(), defaultdict(list)
     for group in block.groups:
         if group.structure.kind in tables:
@@ -48,7 +48,7 @@ def groups_of(block: Block) -> dict[str, list[ObservationGroup]]:
 
 
 def observation_columns(block: Block) -> dict[str, Columns]:
-    """The tables of all observations that are written by their schemas, and those of their owners."""
+    """The tables of all observations that are written by their schemas, and the tables of their owners."""
     tables: dict[str, dict[str, list]] = {}
     for name, groups in groups_of(block).items():
         schema = TABLES[name]
@@ -68,7 +68,7 @@ def observation_columns(block: Block) -> dict[str, Columns]:
 
 
 def _rows(block: Block, schema: TableSchema, group: ObservationGroup, names: dict[int, str]) -> dict[str, list]:
-    """The rows of one group; `names` are those of the owners."""
+    """The rows of one group; `names` are the names of the owners."""
     kind, indices = group.structure.kind, group.structure.indices
     factor = RADIANS[block.structure.angle_unit] if schema.unit is Unit.ANGLE else 1.0
     columns: dict[str, list] = {column.name: [] for column in schema.columns}
@@ -81,13 +81,15 @@ def _rows(block: Block, schema: TableSchema, group: ObservationGroup, names: dic
             prefix = IMAGE if schema.column(column).holds is Holds.END else ""
             columns[column] = [prefix + block.structure.image_names[i] for i in indices[:, k]]
     for holds, values in ((Holds.VALUE, group.values), (Holds.SIGMA, group.sigmas)):
-        for column, numbers in zip(schema.of(holds), np.asarray(values).T, strict=False):  # one sigma may be of all
+        for column, numbers in zip(
+            schema.of(holds), np.asarray(values).T, strict=False
+        ):  # one sigma may apply to all components
             columns[column] = (numbers / factor).tolist()
     return columns
 
 
 def owner_names(block: Block, table: str) -> dict[int, str]:
-    """Names of the sets, bars or figures of a table by their first parameters, in the order of these."""
+    """Names of the sets, bars or figures of a table by their first parameters, in the order of these parameters."""
     schema = TABLES[table]
     if not schema.owner or schema.from_first:
         return {}
@@ -98,13 +100,13 @@ def owner_names(block: Block, table: str) -> dict[int, str]:
 
 
 def _without(names: list[str], prefix: str) -> list[str]:
-    """Names without the prefix that reading adds; as they are where they would not differ any more."""
+    """Names without the prefix that reading adds; unchanged where they would no longer differ."""
     bare = [name.removeprefix(prefix) for name in names]
     return bare if len(set(bare)) == len(bare) and "" not in bare else names
 
 
 def _owners(block: Block, schema: TableSchema, names: dict[int, str]) -> dict[str, list]:
-    """Value, and 0 for one that is held, its sigma where it is observed, NaN where it is unknown."""
+    """Value, and sigma: 0 for a fixed value, NaN for an unknown one."""
     priors = priors_of(block)
     values = [priors[p].value if p in priors else float(block.parameters[p]) for p in names]
     free = [block.structure.parameters[p].free for p in names]
@@ -113,7 +115,7 @@ def _owners(block: Block, schema: TableSchema, names: dict[int, str]) -> dict[st
 
 
 def _from_first(block: Block, schema: TableSchema, group: ObservationGroup) -> dict[str, list]:
-    """Owners are numbered: members that follow each other and start at the same point are one."""
+    """Numbers the owners: successive members with the same first point have one owner."""
     names, sigmas = block.structure.point_names, np.asarray(group.sigmas)[:, 0].tolist()
     rows: list[tuple[str, str, float]] = []
     number, seen = 0, [-1]
@@ -128,7 +130,7 @@ def _from_first(block: Block, schema: TableSchema, group: ObservationGroup) -> d
 
 
 def observation_problems(block: Block) -> list[Problem]:
-    """What of these observations has no place in a folder."""
+    """Problems of observations that a block folder cannot represent."""
     tables, problems = table_of_kind(), []
     for group in block.groups:
         schema = tables.get(group.structure.kind)
@@ -137,7 +139,7 @@ def observation_problems(block: Block) -> list[Problem]:
         name = schema.name
         if not schema.of(Holds.VALUE) and np.asarray(group.values).any():
             what = f"observed values of {name} are not 0"
-            problems.append(Problem(what, "the format knows sigmas of them only; leave them out", name))
+            problems.append(Problem(what, "the format has only their sigmas; leave the values out", name))
         if len(schema.of(Holds.SIGMA)) == 1 and np.ptp(np.asarray(group.sigmas), axis=1).any():
             problems.append(Problem(f"components of {name} have several sigmas", "give each member one sigma", name))
         if not group.structure.observed.all():
@@ -146,7 +148,7 @@ def observation_problems(block: Block) -> list[Problem]:
 
 
 def _problems_of_names(block: Block) -> list[Problem]:
-    """Owners with several stations, and points whose names look like images."""
+    """Problems of owners with several stations, and of points whose names look like images."""
     stations: dict[tuple[str, int], set[tuple[str, int]]] = defaultdict(set)
     problems = []
     for name, groups in groups_of(block).items():
@@ -165,7 +167,7 @@ def _problems_of_names(block: Block) -> list[Problem]:
     return problems + [
         Problem(
             f"parameter {parameters[p].name} orients {name} from several stations",
-            "give each station a parameter of its own",
+            "give each station its own parameter",
             name,
         )
         for (name, p), places in stations.items()
@@ -174,7 +176,7 @@ def _problems_of_names(block: Block) -> list[Problem]:
 
 
 def _problems_of_parameters(block: Block) -> list[Problem]:
-    """Orientations, planes and lines that are held, observed or shared."""
+    """Problems of orientations, planes and lines that are fixed, observed or shared."""
     priors, parameters = priors_of(block), block.structure.parameters
     problems, owner = [], {}
     for name, groups in groups_of(block).items():
@@ -185,9 +187,12 @@ def _problems_of_parameters(block: Block) -> list[Problem]:
         for row in dict.fromkeys(tuple(row) for group in groups for row in group.structure.indices[:, first:].tolist()):
             for p in row:
                 if owner.setdefault(p, (name, row)) != (name, row):
-                    what, cure = "belongs to several figures", "give each parameters of its own"
+                    what, cure = "belongs to several figures", "give each figure its own parameters"
                 elif not parameters[p].free or p in priors:
-                    what, cure = "is held or observed, which the format does not know", "leave it unknown"
+                    what, cure = (
+                        "is fixed or observed, which the format does not support",
+                        "make it unknown and unobserved",
+                    )
                 else:
                     continue
                 problems.append(Problem(f"parameter {parameters[p].name} of {name} {what}", cure, name))

@@ -1,6 +1,6 @@
-"""How large and how small the numbers of a block may be, and the types of the values of block.toml.
+"""Ranges of the numbers of a block, and the types of the values of block.toml.
 
-Beyond, a number is a slip or another unit, and its square or its weight leaves the range of double precision.
+A number outside its range is a mistake or in another unit, and its square or weight may overflow in float64.
 """
 
 from typing import Annotated, Any
@@ -9,34 +9,36 @@ from pydantic import AfterValidator, BeforeValidator, Field
 from pydantic_core import PydanticCustomError
 
 LARGEST_LENGTH = 1e12  # m or mm, or px: 150 times the earth's radius in mm; there double precision resolves 0.1 mm
-LARGEST_IMAGE_COORDINATE = 1e9  # px or mm: thousand times the largest mosaics
+LARGEST_IMAGE_COORDINATE = 1e9  # px or mm: a thousand times the largest mosaics
 LARGEST_TIME = 1e16  # any unit: nanoseconds of several months, microseconds since 1970
-LARGEST_COEFFICIENT = 1e12  # of distortion, any unit: that of balanced terms in mm is below 1e-3, of none above 1e3
+LARGEST_COEFFICIENT = (
+    1e12  # coefficients of distortion, any unit: balanced terms in mm are below 1e-3, and no coefficient exceeds 1e3
+)
 LARGEST_COVARIANCE = LARGEST_LENGTH**2
-TURNS = 100  # of an angle: no count of full turns is meant
-SMALLEST_SIGMA = 1e-15  # m, mm, px or rad: the weight 1/sigma^2 of 1e30 is far beyond the digits of any other
+TURNS = 100  # of an angle: nobody counts full turns
+SMALLEST_SIGMA = 1e-15  # m, mm, px or rad: its weight 1/sigma^2 of 1e30 exceeds any other by more than 16 digits
 LARGEST_SIGMA = LARGEST_LENGTH
-SMALLEST_PRIOR = 1e-60  # of a coefficient in px, K3: the sixth power of some thousand px, and digits of it
+SMALLEST_PRIOR = 1e-60  # of a coefficient in px, K3: the inverse sixth power of some thousand px, with some digits
 PRINCIPAL_DISTANCES = (1e-6, 1e9)  # mm, px, or of normalised image coordinates
 PIXEL_SIZES = (1e-6, 1e3)  # mm: 1 nm to 1 m
 LARGEST_FORMAT = 10**8  # px
-NOTHING = 1e-200  # a number that is smaller and not 0 is a slip: its square is 0
+NOTHING = 1e-200  # a smaller number that is not 0 is a mistake: its square is 0
 
 
 def beyond(value: float, smallest: float, largest: float) -> str:
-    """Why a positive number is out of its range, as what is to follow it in a sentence; "" where it is within."""
+    """Why a positive number is out of range, to follow the number in a sentence; "" where it is within."""
     if smallest <= value <= largest:
         return ""
     return f"is {value:g}, not between {smallest:g} and {largest:g}"
 
 
 def largest_angle(half_turn: float) -> float:
-    """The largest angle in a unit whose half turn is given."""
+    """The maximum angle in a unit with this half turn."""
     return 2 * TURNS * half_turn
 
 
 def problem(what: str, cure: str) -> PydanticCustomError:
-    """An error of a value, in words."""
+    """A validation error of a value with problem and cure."""
     return PydanticCustomError("problem", "{what}; {cure}", {"what": what, "cure": cure})
 
 
@@ -51,7 +53,7 @@ def _not_boolean(value: Any) -> Any:
 
 
 def _within(smallest: float, largest: float) -> AfterValidator:
-    """Numbers whose size is between two bounds."""
+    """Numbers whose magnitude is between two bounds."""
 
     def check(value: float) -> float:
         if not smallest <= abs(value) <= largest:

@@ -1,7 +1,7 @@
-"""What a table of a block folder consists of: the types in which `block_tables` describes every table.
+"""Types of the descriptions of the tables of a block folder, which `block_tables` contains.
 
-The reader, the writer, the messages about columns, the ranges of numbers and the description of the format follow from
-these descriptions.
+The reader, the writer, messages about columns, ranges of numbers and the page about the format use these
+descriptions.
 """
 
 import dataclasses
@@ -11,7 +11,7 @@ from collections.abc import Callable, Sequence
 from dataclasses import dataclass
 from enum import Enum
 
-from jaxbundle.block.observations import ObservationKind
+from jaxbundle.block.observation_kinds import ObservationKind
 from jaxbundle.geometry.rotation import OMEGA_PHI_KAPPA, RotationSystem
 from jaxbundle.io.ranges import (
     LARGEST_COVARIANCE,
@@ -24,20 +24,20 @@ from jaxbundle.io.ranges import (
 
 
 class Holds(Enum):
-    """What the fields of a column hold."""
+    """Content of the fields of a column."""
 
     TEXT = "text"
     POINT = "object point"
     IMAGE = "image"
     END = "object point, or `image:` and an image"
-    OWNER = "what the rows have in common"
+    OWNER = "common owner of rows"
     VALUE = "number"
     SIGMA = "standard deviation"
     OTHER = "further number"
 
 
 class Unit(Enum):
-    """Unit of a column of numbers, in words, and the largest number that is read; that of angles is 100 full turns."""
+    """Unit of a column of numbers, in words, and the maximum number that is read; for angles 100 full turns."""
 
     OBJECT = "object unit", LARGEST_LENGTH
     OBJECT_SQUARED = "object unit squared", LARGEST_COVARIANCE
@@ -56,9 +56,9 @@ class Unit(Enum):
 class Column:
     """A column; {0}, {1} and {2} in its name stand for the three angles of the rotation system.
 
-    `empty`, `zero`, `positive`, `first_face`: the cures of an empty field, of a standard deviation of 0, of a number
-    that is not positive, and of an angle not between 0 and half a turn; "" where that is allowed. `missing`: the cure
-    of a table without this column.
+    `empty`, `zero`, `positive`, `first_face`: the cures for an empty field, for a standard deviation of 0, for a number
+    that is not positive, and for an angle not between 0 and half a turn; "" where that is allowed. `missing`: the cure
+    for a table without this column.
     """
 
     name: str
@@ -72,19 +72,19 @@ class Column:
     missing: str = ""
 
     def maximum(self, half_turn: float) -> float:
-        """The largest number that is read; `half_turn` is that of the angle unit."""
+        """The maximum number that is read; `half_turn` in the angle unit."""
         if self.holds is Holds.SIGMA:
             return LARGEST_SIGMA
         return largest_angle(half_turn) if self.unit is Unit.ANGLE else self.unit.maximum
 
     @property
     def words(self) -> str:
-        """The name; of an angle that in the system omega-phi-kappa."""
+        """The name of the column; angles have their names in omega-phi-kappa."""
         return self.name.format(*OMEGA_PHI_KAPPA.angles)
 
     @property
     def may_be(self) -> list[str]:
-        """What is allowed of it: that it is absent, empty or 0."""
+        """What the column may be: absent, empty or 0."""
         number = self.holds in (Holds.VALUE, Holds.SIGMA, Holds.OTHER)
         allowed = {
             "absent": self.optional,
@@ -96,11 +96,12 @@ class Column:
 
 @dataclass(frozen=True)
 class OwnerSchema:
-    """What rows of a table have in common: the set of directions, the bar, the plane that a row names.
+    """The common owner of rows of a table: the set of directions, the bar or the plane that a row names.
 
-    `parameters`: unknowns of each owner and their units, none if the first row of an owner is what the others refer to.
-    `table`: the table with the value of the parameter and its sigma; "" where it is found from approximate coordinates.
-    `same`: a column in which all rows of an owner agree. `min_rows`: of an owner; more than 1 forbids repeated rows.
+    `parameters`: unknowns of each owner and their units, none if the other rows refer to the first row of the owner.
+    `table`: the table with the value of the parameter and its sigma; "" where it is computed from approximate
+    coordinates. `same`: a column in which all rows of an owner agree. `min_rows`: minimum number of rows of an owner;
+    more than 1 forbids repeated rows.
     """
 
     parameters: tuple[tuple[str, Unit], ...] = ()
@@ -110,16 +111,16 @@ class OwnerSchema:
 
 
 def called(table: str) -> str:
-    """What a row of a table is called."""
+    """Words for a row of a table and for its owner."""
     return table.removesuffix("s").replace("_", " ")
 
 
 @dataclass(frozen=True)
 class TableSchema:
-    """A table: its key in [tables], what a row is about, with names of columns in braces, and its columns.
+    """A table: its key in [tables], a description of a row with names of columns in braces, and its columns.
 
-    `kind`: the kind of observation of a row, by what its points and ends are, "point" or "image"; None where the rows
-    are no observations. `plain`: read and written by the columns alone, without code of its own. `systematic`:
+    `kind`: returns the kind of observation of a row; its arguments say for each end "point" or "image"; None where the
+    rows are not observations. `plain`: read and written by the columns only, without further code. `systematic`:
     systematic errors of a group that the rows name, as keys of [navigation.NAME].
     """
 
@@ -139,21 +140,21 @@ class TableSchema:
 
     @property
     def row(self) -> str:
-        """What a row, or an owner of rows, is called: "height difference", "plumb line"."""
+        """Words for a row or an owner of rows: "height difference", "plumb line"."""
         return called(self.name)
 
     @property
     def needed(self) -> tuple[str, ...]:
-        """Columns that must be there."""
+        """Names of the required columns."""
         return tuple(column.name for column in self.columns if not column.optional)
 
     @property
     def names(self) -> tuple[str, ...]:
-        """All columns, those that must be there first."""
+        """Names of all columns, the required ones first."""
         return (*self.needed, *(column.name for column in self.columns if column.optional))
 
     def of(self, *holds: Holds) -> tuple[str, ...]:
-        """The columns that hold one of these."""
+        """The columns with one of these contents."""
         return tuple(column.name for column in self.columns if column.holds in holds)
 
     @property
@@ -168,7 +169,7 @@ class TableSchema:
 
     @property
     def owner_column(self) -> str:
-        """The column that names the owner; "" where there is none."""
+        """Name of the column of the owner; "" where there is none."""
         return next(iter(self.of(Holds.OWNER)), "")
 
     @property
@@ -177,15 +178,15 @@ class TableSchema:
         return self.owner is not None and not self.owner.parameters
 
     def prefix(self, parameter: str) -> str:
-        """What stands before the name of an owner in that of its parameter, such as "orientation of set "."""
+        """Prefix of an owner's name in the name of its parameter, such as "orientation of set "."""
         return f"{parameter} of {self.owner_column} "
 
     def column(self, name: str) -> Column:
-        """A column by its name."""
+        """The column with this name."""
         return next(column for column in self.columns if column.name == name)
 
     def ends(self) -> list[tuple[str, ...]]:
-        """What the points and ends of a row may be, in the order of the groups of observations."""
+        """Possible combinations of the ends of a row, in the order of the groups of observations."""
         holds = [self.column(name).holds for name in self.entities]
         ways = {Holds.POINT: ("point",), Holds.IMAGE: ("image",), Holds.END: ("point", "image")}
         return list(itertools.product(*(ways[what] for what in holds)))
@@ -200,6 +201,6 @@ class TableSchema:
         return dataclasses.replace(self, columns=columns)
 
     def only(self, needed: Sequence[str]) -> "TableSchema":
-        """The table in which no other columns must be there."""
+        """The same table in which only these columns are required."""
         columns = tuple(dataclasses.replace(c, optional=c.name not in needed) for c in self.columns)
         return dataclasses.replace(self, columns=columns)

@@ -1,4 +1,4 @@
-"""What block.toml says: units, rotation system, cameras, navigation, datum and the files of a block folder's tables."""
+"""Settings of block.toml: units, rotation system, cameras, navigation, datum and the files of the tables."""
 
 from typing import Annotated, Any, Literal, TypeVar
 
@@ -6,10 +6,10 @@ from pydantic import AfterValidator, BaseModel, ConfigDict, Field, field_validat
 
 from jaxbundle.block.problems import shown
 from jaxbundle.camera.additional_parameters import GRID_SHARE
+from jaxbundle.camera.camera_models import CAMERA_MODELS
 from jaxbundle.camera.corrections import curvature_coefficient, refraction_coefficient, with_corrections
 from jaxbundle.camera.fiducials import PARAMETERS
 from jaxbundle.camera.model import CameraModel
-from jaxbundle.camera.registry import CAMERA_MODELS
 from jaxbundle.geometry.rotation import ROTATION_SYSTEMS
 from jaxbundle.io.block_tables import REQUIRED, TABLES
 from jaxbundle.io.near_names import nearest
@@ -28,15 +28,18 @@ from jaxbundle.io.ranges import (
     problem,
 )
 
-WITH_KEYS = ("principal_distance", "x0", "y0", "pixel_size", "y_axis")  # interior elements that are no coefficients
+WITH_KEYS = ("principal_distance", "x0", "y0", "pixel_size", "y_axis")  # interior elements that are not coefficients
 SYSTEMATIC = tuple(name for schema in TABLES.values() for name in schema.systematic)
 DATUMS = ("fixed", "minimal", "inner")
-OTHER_NAMES = {  # of interior elements in other programs
+OTHER_NAMES = {  # names of interior elements in other programs
     **dict.fromkeys(("f", "fx", "fy", "c", "focal", "focal_length"), "principal_distance"),
     **dict.fromkeys(("cx", "ppx", "u0", "xp"), "x0"),
     **dict.fromkeys(("cy", "ppy", "v0", "yp"), "y0"),
 }
-LARGEST = {"refraction": 1e-3, "earth_curvature": 0.01}  # several times what any flight has: more is another unit
+LARGEST = {
+    "refraction": 1e-3,
+    "earth_curvature": 0.01,
+}  # several times the height of any flight: a larger number is in another unit
 
 Names = TypeVar("Names", dict[str, float], list[str])
 
@@ -47,7 +50,7 @@ def coefficient_names(model: CameraModel) -> tuple[str, ...]:
 
 
 class Section(BaseModel):
-    """A section of block.toml."""
+    """Base of the sections of block.toml."""
 
     model_config = ConfigDict(extra="forbid", strict=True, allow_inf_nan=False)
 
@@ -85,7 +88,7 @@ class Corrections(Section):
 
     @property
     def coefficients(self) -> dict[str, float]:
-        """The two coefficients; 0 where there is no correction."""
+        """The two coefficients; 0 without correction."""
         heights = self.flying_height or 0.0, self.ground_height or 0.0
         functions = {"refraction": refraction_coefficient, "earth_curvature": curvature_coefficient}
         given = {name: getattr(self, name) for name in functions}
@@ -106,14 +109,16 @@ class Corrections(Section):
             except ValueError as error:
                 raise problem(f"{name}: {error}", "give both heights in m above sea level") from None
         if name == "earth_curvature" and value is False and given.get("refraction") is False:
-            raise problem("corrections are neither refraction nor earth_curvature", "say which = true, or drop them")
+            raise problem(
+                "corrections are neither refraction nor earth_curvature", "set one of them to true, or drop the section"
+            )
         return value
 
 
 class CameraSection(Section):
     """A camera; principal point in the unit of the rays, principal distance in mm or, without pixel size, in px.
 
-    With fiducials both are in mm, in their system, and `pixel_size` is that of the scan.
+    With fiducials both are in mm, in the system of the fiducials, and `pixel_size` is that of the scan.
     """
 
     image_unit: Annotated[Literal["px", "mm"], AnyCase]
@@ -137,7 +142,7 @@ class CameraSection(Section):
 
     @property
     def in_mm(self) -> bool:
-        """Whether the block has the rays in mm, x right, y up."""
+        """Whether the rays of the block are in mm, x to the right, y up."""
         return self.image_unit == "mm" or self.fiducials is not None
 
     @field_validator("pixel_size")
@@ -191,22 +196,25 @@ class CameraSection(Section):
         if given.get("image_unit") == "mm":
             raise problem("rays in mm need no fiducials", 'drop them, or give the rays in px and image_unit = "px"')
         if model and "pixel_size" not in model.elements:
-            raise problem(f"distortion '{model.name}' is for rays in px, which fiducials bring to mm", "use another")
+            raise problem(
+                f"distortion '{model.name}' is for rays in px, but fiducials transform them to mm",
+                "use another distortion",
+            )
         if given.get("pixel_size", ...) is None:
             raise problem("fiducials need pixel_size", "give the nominal pixel of the scan in mm")
         return name
 
 
 def _with_grid_base(values: dict[str, float], given: dict[str, Any]) -> dict[str, float]:
-    """The coefficients with a grid_base, from the image format where it is known in the unit of the coefficients."""
+    """The coefficients with a grid_base; it is computed from the image format where that has the unit of the rays."""
     if values.get("grid_base", 1.0) <= 0:
-        raise problem(f"grid_base is {values['grid_base']}", "give a positive one")
+        raise problem(f"grid_base is {values['grid_base']}", "give a positive number")
     if "grid_base" in values or not {"image_unit", "pixel_size", "width", "height"} <= given.keys():
         return values
     sides = given["width"], given["height"]
     if None in sides or given["image_unit"] == "mm":
         what = f"distortion '{given['distortion']}' needs grid_base"
-        raise problem(what, f"give it with the coefficients: {GRID_SHARE} of the longer side of the image is usual")
+        raise problem(what, f"add it to the coefficients: {GRID_SHARE} of the longer side of the image is usual")
     return {**values, "grid_base": GRID_SHARE * max(sides) * (given["pixel_size"] or 1.0)}
 
 
@@ -222,7 +230,7 @@ def _all_known(names: Names, known: tuple[str, ...], distortion: str, kind: str)
 
 
 def _meant(name: str, known: tuple[str, ...]) -> str:
-    """The known element that another program calls so, or that differs in case alone; "" where there is none."""
+    """The known element that another program calls so, or that differs only in case; "" where there is none."""
     other = OTHER_NAMES.get(name, "")
     if other in known:
         return other
@@ -231,7 +239,7 @@ def _meant(name: str, known: tuple[str, ...]) -> str:
 
 
 def _all_estimated(values: dict[str, float] | None, estimate: list[str] | None) -> dict[str, float] | None:
-    """The priors, once each belongs to what is unknown."""
+    """The priors, after a check that each belongs to an unknown element."""
     held = [name for name in values or () if estimate is not None and name not in estimate]
     if held:
         cure = "name it in estimate, or drop its prior"
@@ -242,7 +250,7 @@ def _all_estimated(values: dict[str, float] | None, estimate: list[str] | None) 
 class NavigationSection(Section):
     """Systematic errors of a group of stations and attitudes; lengths in the object unit, angles in that of the folder.
 
-    What is not in `estimate` is held; `priors` are standard deviations of the values given.
+    Parameters that are not in `estimate` are fixed; `priors` are standard deviations of the given values.
     """
 
     lever_arm: Triple | None = None
@@ -260,7 +268,7 @@ class NavigationSection(Section):
         unknown = [name for name in names if name not in SYSTEMATIC]
         if unknown:
             cure = f"known: {', '.join(SYSTEMATIC)}"
-            raise problem(f"what is to be estimated, {', '.join(unknown)}, is unknown", cure)
+            raise problem(f"unknown parameters to estimate: {', '.join(unknown)}", cure)
         return names
 
     @field_validator("priors")
@@ -270,15 +278,15 @@ class NavigationSection(Section):
 
 
 class SigmaSection(Section):
-    """Standard deviation of rays that have none of their own, in their unit."""
+    """Default standard deviation of rays, in the unit of the rays."""
 
     image: Sigma
 
 
 class DatumSection(Section):
-    """Elements of images that keep their approximate values, or a free network.
+    """The datum: elements of images that are fixed at their approximate values, or a free network.
 
-    Of a free network: `points` that carry the inner constraints, all if none is named, and what they fix, `elements`.
+    For a free network: `points` of the inner constraints, all points if none is named, and `elements`, which they fix.
     """
 
     type: str
@@ -297,16 +305,16 @@ class DatumSection(Section):
     @classmethod
     def _not_free(cls, held: dict[str, list[str]], info: Any) -> dict[str, list[str]]:
         if held and info.data.get("type") == "inner":
-            raise problem("a free network holds nothing", 'drop hold, or give type = "fixed"')
+            raise problem("a free network fixes no elements", 'drop hold, or give type = "fixed"')
         return held
 
     @field_validator("points", "elements", mode="before")
     @classmethod
     def _list(cls, names: Any, info: Any) -> Any:
         if isinstance(names, str):
-            cure = 'name points in brackets, points = ["101", "102", "103"]; without the key all object points carry it'
+            cure = 'name points in brackets, points = ["101", "102", "103"]; without the key all object points are used'
             if info.field_name == "elements":
-                cure = 'give elements = ["translation", "rotation"], and "scale" where nothing else gives it'
+                cure = 'give elements = ["translation", "rotation"], and "scale" where no observation determines it'
             raise problem(f"{info.field_name} is '{shown(names)}', not a list", cure)
         return names
 
@@ -322,26 +330,26 @@ class DatumSection(Section):
     @classmethod
     def _enough(cls, names: list[str] | None) -> list[str] | None:
         if names is not None and len(set(names)) < 3:
-            raise problem(f"{len(set(names))} points cannot carry the inner constraints", "name 3 or more, or none")
+            raise problem(f"{len(set(names))} points are too few for inner constraints", "name 3 or more, or none")
         return names
 
     @field_validator("elements")
     @classmethod
     def _translation_and_rotation(cls, names: list[str] | None) -> list[str] | None:
         if names is not None and set(names) - {"scale"} != {"translation", "rotation"}:
-            cure = 'give elements = ["translation", "rotation"], and "scale" where nothing else gives it'
+            cure = 'give elements = ["translation", "rotation"], and "scale" where no observation determines it'
             raise problem(f"elements are {', '.join(names) or 'none'}", cure)
         return names
 
 
 def _known_table(name: str) -> str:
     if name not in TABLES:
-        raise problem(f"{shown(name)} is unknown", f"known here: {', '.join(TABLES)}")
+        raise problem(f"{shown(name)} is unknown", f"known tables: {', '.join(TABLES)}")
     return name
 
 
 class Settings(Section):
-    """block.toml of format 1."""
+    """All sections of block.toml, format 1."""
 
     format: Annotated[Literal[1], NotBoolean]
     name: str = ""
@@ -363,7 +371,7 @@ class Settings(Section):
             files = {name: TABLES[name].file for name in missing}
             what, them = ("is missing", "it") if len(missing) == 1 else ("are missing", "them")
             such = ", ".join(f'{name} = "{file}"' for name, file in files.items())
-            raise problem(f"{' and '.join(missing)} {what}", f"give {them}, such as {such}")
+            raise problem(f"{' and '.join(missing)} {what}", f"add {them}, such as {such}")
         return files
 
 

@@ -1,8 +1,8 @@
-"""CSV tables: one header line, an empty field is not given.
+"""CSV tables with one header line; an empty field means "not given".
 
 Fields are separated by commas, semicolons or tabs. Numbers have a decimal point, or a decimal comma where the fields
-are not separated by commas. All fields are text until they are asked for as names or as numbers; what is wrong with
-them is noted in the user's words, with file and line, one note for all rows of one cause.
+are not separated by commas. All fields are text until they are read as names or as numbers. Problems are noted with
+file and line, one note for all rows with the same cause.
 """
 
 import csv
@@ -21,32 +21,32 @@ from jaxbundle.io.near_names import Match, nearest
 from jaxbundle.io.noted import Noted
 from jaxbundle.io.ranges import NOTHING, SMALLEST_SIGMA
 from jaxbundle.io.schema import Column, TableSchema
-from jaxbundle.io.text import read_text
+from jaxbundle.io.text_files import read_text
 
 Columns = Mapping[str, Sequence[str] | pl.Series | Float[np.ndarray, " row"]]
 Rows = Sequence[int] | Int[np.ndarray, " row"]
-Words = str | Callable[[int], str]  # of a row, or of each row by its number
+Words = str | Callable[[int], str]  # of a row, or a function of the row number
 
-ROW = 120  # characters of a row in a message
-LISTED_UNKNOWN = 1000  # unknown names that are compared with the known ones: enough to see what they have in common
+ROW = 120  # maximum number of characters of a row in a message
+LISTED_UNKNOWN = 1000  # maximum number of unknown names that are compared with the known ones
 DECIMAL_COMMA = r"^[+-]?\d*,\d+(?:[eE][+-]?\d+)?$"
 THOUSANDS = (
     r"^[+-]?(?:\d+(?:['\u2019\u00a0\u202f _]\d+)+(?:[.,]\d*)?"
     r"|\d{1,3}(?:(?:\.\d{3})+,\d*|(?:,\d{3})+\.\d*|(?:[.,]\d{3}){2,}))$"
 )
-NOT_NOTHING = r"^[^eE]*[1-9]"  # a number with this is not 0
-NOT_A_NUMBER = (  # forms of what is no number, with their cures
+NOT_NOTHING = r"^[^eE]*[1-9]"  # a number with one of these digits is not 0
+NOT_A_NUMBER = (  # forms of fields that are not numbers, with their cures
     (DECIMAL_COMMA, "a comma is read as decimal sign only where semicolons or tabs separate the fields; use a point"),
-    (THOUSANDS, "leave out the separators of thousands, and use a decimal point"),
+    (THOUSANDS, "remove the separators of thousands, and use a decimal point"),
     ("", "give a number with a decimal point"),
 )
 
 
 @dataclass(frozen=True)
 class Table:
-    """A table as text, blanks stripped, "" where nothing is given; `lines` are the lines of its rows in the file.
+    """A table as text, blanks stripped, "" for empty fields; `lines` are the line numbers of its rows in the file.
 
-    `half_turn` is that of the angle unit.
+    `half_turn` is half a turn in the angle unit.
     """
 
     file: str
@@ -58,7 +58,7 @@ class Table:
     half_turn: float
 
     def note(self, rows: int | Rows, what: Words, cure: str) -> None:
-        """Notes what is wrong with one row, or with several for the same cause; nothing if there are none."""
+        """Notes a problem of one row, or of several rows with the same cause; no rows give no note."""
         numbers = np.atleast_1d(np.asarray(rows, int))
         if not len(numbers):
             return
@@ -72,21 +72,21 @@ class Table:
         self.noted.add_rows(self.file, self.lines[numbers].tolist(), told, cure)
 
     def column(self, column: str) -> pl.Series:
-        """A column as text; blank where the table does not have it."""
+        """A column as text; blank where the table does not have this column."""
         return self.text[column] if column in self.text.columns else pl.Series([""] * len(self.lines))
 
     def names(self, column: str) -> pl.Series:
-        """A column of names; none may be blank or hold a character that is not visible."""
+        """A column of names; blank names and names with an invisible character are noted."""
         names = self.text[column]
-        self.note(where(names == ""), f"the {column} has no name", "name it or drop the row")
+        self.note(where(names == ""), f"the {column} has no name", "add the name or drop the row")
         odd = [name for name in names.unique() if not name.isprintable() and any(map(is_hidden, name))]
         if odd:
-            what = f"the {column} has a character that is not visible"
-            self.note(where(names.is_in(odd)), what, "take it out of the name")
+            what = f"the {column} has an invisible character"
+            self.note(where(names.is_in(odd)), what, "delete this character from the name")
         return names
 
     def positions(self, column: str, names: Sequence[str], file: str) -> Int[np.ndarray, " row"]:
-        """Positions of a column's names among those that another file defines; -1 and a note where one is not there."""
+        """Indices of a column's names among the names that another file defines; -1 and a note for a missing name."""
         wanted = self.names(column)
         positions = positions_of(wanted, names)
         missing = (wanted != "") & pl.Series(positions < 0)
@@ -104,14 +104,14 @@ class Table:
         return positions
 
     def unique(self, *columns: str) -> None:
-        """Notes every row that names the same as an earlier one."""
+        """Notes rows with the same name as an earlier row."""
         rows, first = self.repeated(*columns)
         if len(rows):
             line = self.lines[first[0]]
             self.note(rows, f"is already in line {line}", "drop one of the two")
 
     def repeated(self, *columns: str) -> tuple[Int[np.ndarray, " row"], Int[np.ndarray, " row"]]:
-        """Rows that have the same in these columns as an earlier row, and their earlier rows."""
+        """Rows that agree in these columns with an earlier row, and these earlier rows."""
         keys = self.text.select(columns).with_row_index("row")
         if keys.select(columns).is_unique().all():
             return np.zeros(0, int), np.zeros(0, int)
@@ -121,9 +121,9 @@ class Table:
         return again["row"].to_numpy().astype(int), again["first"].to_numpy().astype(int)
 
     def numbers(self, *columns: str, spared: Rows = ()) -> Float[np.ndarray, "row column"]:
-        """Columns of numbers; NaN where a field is empty, and where it is not a number of a possible size.
+        """Columns of numbers; NaN where a field is empty, is not a number, or is out of range.
 
-        What the schema does not allow is noted, but not that fields of the rows in `spared` are empty.
+        Violations of the schema are noted, except empty fields of the rows in `spared`.
         """
         texts = [self._decimal_point(self.column(column), columns) for column in columns]
         values = np.stack([text.cast(pl.Float64, strict=False).fill_null(np.nan).to_numpy() for text in texts], 1)
@@ -137,7 +137,7 @@ class Table:
         finite, limits = np.isfinite(values), [column.maximum(self.half_turn) for column in described]
         large = finite & (size > np.array(limits))
         self._note_fields(columns, large, [f"larger than {limit:g}" for limit in limits], "correct it, or its unit")
-        self._note_fields(columns, nothing, ["too small to be meant"] * len(columns), "give 0, or correct it")
+        self._note_fields(columns, nothing, ["too small to be plausible"] * len(columns), "give 0, or correct it")
         finite &= ~large & ~nothing
         needed = described[0].empty
         rows = np.setdiff1d(np.flatnonzero(~given.all(1)), spared) if needed else ()
@@ -148,7 +148,7 @@ class Table:
         return values
 
     def _note_range(self, column: Column, values: Float[np.ndarray, " row"]) -> None:
-        """Notes numbers of one column that are not positive, or no zenith angles of the first face."""
+        """Notes numbers of one column that are not positive, or not zenith angles in the first face."""
         called = self.schema.row if self.schema.plain else column.name
         if column.positive:
             self.note(np.flatnonzero(values <= 0), f"the {called} is not positive", column.positive)
@@ -157,7 +157,7 @@ class Table:
             self.note(outside, f"the {called} is not between 0 and {self.half_turn:g}", column.first_face)
 
     def _decimal_point(self, text: pl.Series, columns: Sequence[str]) -> pl.Series:
-        """The text of numbers with decimal points, where commas are certain to be decimal ones."""
+        """The text of numbers with decimal points, where commas are certainly decimal ones."""
         if self.separator == "," or not text.str.contains(",", literal=True).any():
             return text
         if any(self.column(column).str.contains(".", literal=True).any() for column in columns):
@@ -165,7 +165,7 @@ class Table:
         return text.str.replace(",", ".", literal=True)
 
     def _note_unreadable(self, columns: Sequence[str], wrong: Bool[np.ndarray, "row column"]) -> None:
-        """Notes fields that are not numbers, those of the same form together."""
+        """Notes fields that are not numbers; fields of the same form are noted together."""
         left = wrong.copy()
         for form, cure in NOT_A_NUMBER if wrong.any() else ():
             alike = [self.column(column).str.contains(form).to_numpy() for column in columns]
@@ -176,7 +176,7 @@ class Table:
     def _note_fields(
         self, columns: Sequence[str], wrong: Bool[np.ndarray, "row column"], what: Sequence[str], cure: str
     ) -> None:
-        """Notes fields; `what`: for each column, what its field is."""
+        """Notes problems of fields; `what`: the problem for each column."""
 
         def words(row: int) -> str:
             k = int(np.argmax(wrong[row]))
@@ -190,7 +190,7 @@ class Table:
         small = (values > 0) & (values < SMALLEST_SIGMA)
         zero = self.schema.column(columns[0]).zero
         for wrong, what, cure in (
-            (np.signbit(values) & ~np.isnan(values), "negative", "give a positive one"),
+            (np.signbit(values) & ~np.isnan(values), "negative", "give a positive number"),
             (small, f"smaller than {SMALLEST_SIGMA:g}", "correct it, or its unit"),
             ((values == 0) & bool(zero), "0", zero),
         ):
@@ -212,28 +212,28 @@ def where(mask: pl.Series) -> Int[np.ndarray, " row"]:
 
 
 def positions_of(wanted: pl.Series, names: Sequence[str]) -> Int[np.ndarray, " row"]:
-    """Position of each wanted name among the names, of its first one if there are several; -1 where it is not there."""
+    """Index of each wanted name among the names, of the first one if there are several; -1 where it is missing."""
     distinct = pl.Series("name", names, pl.String).to_frame().with_row_index("position").unique("name", keep="first")
     found = pl.Series("name", wanted).to_frame().with_row_index("row").join(distinct, on="name", how="left").sort("row")
     return found["position"].cast(pl.Int64).fill_null(-1).to_numpy()
 
 
 def near(unknown: Sequence[str], known: Sequence[str]) -> Match | None:
-    """How unknown names would be known, judged by the first of them."""
+    """The change that makes unknown names known, from the first of them."""
     return nearest(unknown[:LISTED_UNKNOWN], known)
 
 
 def read_table(path: Path, schema: TableSchema, noted: Noted, half_turn: float = 180.0) -> Table | None:
-    """A table with the columns of a schema, in any order; None and notes where it cannot be read as one.
+    """Reads a table with the columns of a schema, in any order; None and notes where it cannot be read.
 
-    Rows with a wrong number of fields are noted and left out; lines without any field are passed over.
+    Rows with a wrong number of fields are noted and left out; empty lines are skipped.
     """
     text = read_text(path, noted)
     if text is None:
         return None
     name = path.name
     if not text.strip():
-        noted.add(name, 0, "the file is empty", "fill it, or drop it and its entry in [tables]")
+        noted.add(name, 0, "the file is empty", "add rows, or drop it and its entry in [tables]")
         return None
     header = read_header(name, text, schema, noted)
     if header is None:
@@ -242,17 +242,17 @@ def read_table(path: Path, schema: TableSchema, noted: Noted, half_turn: float =
     frame, lines = (_quoted if '"' in text else _plain)(name, text, header, noted)
     frame = frame.select(pl.all().fill_null("").str.strip_chars())
     blank = frame.select(pl.all_horizontal(pl.all() == "")).to_series()
-    if blank.any():  # as spreadsheets append them
+    if blank.any():  # spreadsheets append such lines
         frame, lines = frame.filter(~blank), lines[~blank.to_numpy()]
     if not len(lines):
         if len(noted.found) == wrong:
-            noted.add(name, 0, "the table has no rows", "fill it, or drop it and its entry in [tables]")
+            noted.add(name, 0, "the table has no rows", "add rows, or drop it and its entry in [tables]")
         return None
     return Table(name, schema, frame, lines, noted, header.separator, half_turn)
 
 
 def _wrong_fields(file: str, rows: list[tuple[int, list[str]]], header: Header, noted: Noted) -> None:
-    """Notes rows, given with their lines, that have another number of fields than the header."""
+    """Notes rows with a number of fields that differs from the header."""
     if rows:
         fields = rows[0][1]
         row = shown(header.separator.join(fields).strip(), ROW)
@@ -274,7 +274,7 @@ def _plain(file: str, text: str, header: Header, noted: Noted) -> tuple[pl.DataF
     separators = np.diff(np.searchsorted(np.flatnonzero(raw == ord(header.separator)), ends), prepend=0)
     right = separators == len(header.columns) - 1
     wrong = []
-    right[: header.line] = True  # the header, and what is before it
+    right[: header.line] = True  # the header and the lines before it
     for line in np.flatnonzero(~right).tolist():
         row = data[starts[line] : ends[line]].decode()
         if row.strip(f"{header.separator} \t"):
@@ -301,7 +301,7 @@ def _plain(file: str, text: str, header: Header, noted: Noted) -> tuple[pl.DataF
 
 
 def _quoted(file: str, text: str, header: Header, noted: Noted) -> tuple[pl.DataFrame, Int[np.ndarray, " row"]]:
-    """Rows of a table in which fields are quoted."""
+    """Rows of a table with quoted fields."""
     reader = csv.reader(io.StringIO(text), strict=True, skipinitialspace=True, delimiter=header.separator)
     rows, lines, wrong, line = [], [], [], 1
     try:
@@ -320,7 +320,7 @@ def _quoted(file: str, text: str, header: Header, noted: Noted) -> tuple[pl.Data
 
 
 def write_table(path: Path, columns: Columns) -> None:
-    """Writes a table; numbers in the shortest form that reads back the same, NaN and "" as an empty field."""
+    """Writes a table; numbers in the shortest form that reads back to the same value, NaN and "" as an empty field."""
     frame = pl.DataFrame(columns).with_columns(
         pl.selectors.float().fill_nan(None), pl.selectors.string().replace("", None)
     )

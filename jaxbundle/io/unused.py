@@ -1,7 +1,7 @@
-"""What a block folder gives and the adjustment does not use, and the cause where there seems to be one.
+"""Contents of a block folder that the adjustment does not use, with the probable cause.
 
-Control or stations of which not one row takes part are most often a slip in names, sigmas or [tables]: a block that is
-adjusted without them has another datum than was meant.
+If no row of control or stations is used, the usual cause is a mistake in names, sigmas or [tables]: without them the
+block has a datum that was not intended.
 """
 
 from collections.abc import Iterable, Sequence
@@ -23,21 +23,23 @@ from jaxbundle.io.tables import near, read_table
 
 CARRYING = {"control": "control points", "stations": "stations", "attitudes": "attitudes"}
 DATUM = ("control", "stations")
-FEW = 10  # names without a partner that may be slips; more are another list of points
-NEAR = 0.05  # of the extent of the object points: control is that near to its approximate coordinates, or another point
+FEW = 10  # maximum number of unmatched names that may be mistakes; more are another list of points
+NEAR = (
+    0.05  # share of the extent of the object points: control farther from its approximate coordinates is another point
+)
 
 
 def unused(
     folder: Path | None, toml: BlockToml, settings: Settings, tables: FolderTables, noted: Noted
 ) -> tuple[Finding, ...]:
-    """What takes no part, one finding for each cause; `folder`: where the tables are from, if they are from files."""
+    """Findings about unused contents, one for each cause; `folder`: the folder of the tables, None for frames."""
     found: list[Finding] = []
     for kind in CARRYING:
         if kind in tables.known:
             found += _carrying(kind, tables, settings, noted)
     found += _approximate(tables)
     names = [name for name in settings.cameras if name not in tables.images.camera]
-    notes = [f"camera {listed([name])} has no image and takes no part" for name in names]
+    notes = [f"camera {listed([name])} has no image and is not used" for name in names]
     for kind, owners in tables.owners.items():
         users = [rows for rows in tables.observed.values() if (of := rows.table.schema.owner) and of.table == kind]
         used = [k for rows in users for k in rows.owner.tolist()]
@@ -66,12 +68,12 @@ def _subjects(kind: str, rows: KnownRows, members: Iterable[int]) -> tuple[Subje
 
 
 def _grade(settings: Settings) -> Severity | None:
-    """A datum that block.toml gives needs no control: then what is not used is to be checked only."""
+    """Severity: with a datum in block.toml no control is needed, so unused control is only to be checked."""
     return None if settings.datum is None else Severity.CHECK
 
 
 def _carrying(kind: str, tables: FolderTables, settings: Settings, noted: Noted) -> list[Finding]:
-    """Rows of control, stations or attitudes that take no part."""
+    """The finding about rows of control, stations or attitudes if none of them is used."""
     rows = tables.known[kind]
     meant = np.flatnonzero(~rows.check)
     unseen = np.flatnonzero(rows.position < 0)
@@ -88,12 +90,12 @@ def _carrying(kind: str, tables: FolderTables, settings: Settings, noted: Noted)
         angles = kind == "attitudes"
         unit = settings.units.angle if angles else settings.units.object
         columns = ", ".join(f"s{name}" for name in (tables.angles if angles else "XYZ"))
-        causes.append(f"{columns} are empty or belong to coordinates that are empty, so nothing of them is observed")
-        zero = "; 0 holds a coordinate" if kind == "control" else ""
+        causes.append(f"{columns} are empty or belong to coordinates that are empty, so none of them is observed")
+        zero = "; 0 fixes a coordinate" if kind == "control" else ""
         cures.append(f"give the standard deviations {columns} in {unit}{zero}")
     noted.touched.update(match.pairs.values() if match else (), (rows.names[row] for row in meant))
     none = "the only row" if len(meant) == 1 else f"none of the {len(meant)} {CARRYING[kind]}"
-    takes = "takes no part" if len(meant) == 1 else "takes part"
+    takes = "is not used" if len(meant) == 1 else "is used"
     what = f"{none} of {rows.table.file} {takes}: {'; '.join(causes)} ({listed([rows.names[row] for row in meant])})"
     return [Finding(Kind.NOT_USED, what, "; ".join(cures), _subjects(kind, rows, meant), grade=_grade(settings))]
 
@@ -105,7 +107,7 @@ def _free_points(tables: FolderTables) -> list[str]:
 
 
 def _unseen(tables: FolderTables, unseen: Int[np.ndarray, " row"], noted: Noted) -> list[Finding]:
-    """Control or check points on no image: those that resemble a point on images are to be checked."""
+    """Findings about control or check points on no image: names similar to a point on images are to be checked."""
     rows = tables.known["control"]
     if not len(unseen):
         return []
@@ -146,8 +148,8 @@ def _in_one_place(tables: FolderTables, control: str, partner: str) -> bool:
 
 def _on_no_image(what: str, names: Sequence[str]) -> str:
     if len(names) == 1:
-        return f"{what} point {listed(names)} is on no image and takes no part"
-    return f"{len(names)} {what} points are on no image and take no part: {listed(names)}"
+        return f"{what} point {listed(names)} is on no image and is not used"
+    return f"{len(names)} {what} points are on no image and are not used: {listed(names)}"
 
 
 def _approximate(tables: FolderTables) -> list[Finding]:
@@ -164,14 +166,14 @@ def _approximate(tables: FolderTables) -> list[Finding]:
 
 
 def _files(folder: Path, toml: BlockToml, settings: Settings, tables: FolderTables, noted: Noted) -> list[Finding]:
-    """Tables that are there and not named in [tables]."""
+    """Findings about tables that exist but are not named in [tables]."""
     located = any(len(_takes_part(tables.known[kind])) for kind in DATUM if kind in tables.known)
     found = []
     for kind, schema in TABLES.items():
         file = schema.file
         if kind in REQUIRED or file in toml.tables.values() or not (folder / file).exists():
             continue
-        what, cure = f"{file} is not named in [tables] of {FILE} and takes no part", f'add {kind} = "{file}" there'
+        what, cure = f"{file} is not named in [tables] of {FILE} and is not used", f'add {kind} = "{file}" there'
         if kind not in DATUM or kind in toml.tables:
             found.append(Finding(Kind.UNUSED, what))
         elif located or settings.datum is not None:
@@ -184,6 +186,6 @@ def _files(folder: Path, toml: BlockToml, settings: Settings, tables: FolderTabl
 
 
 def _names_in(path: Path) -> list[str]:
-    """The points that a table of control names, as far as it can be read."""
+    """Names of the points of a table of control, as far as it can be read."""
     table = read_table(path, TABLES["control"].only(("point",)), Noted())
     return table.text["point"].to_list() if table else []

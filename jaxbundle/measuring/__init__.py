@@ -5,12 +5,11 @@ It lies above `imagery`, which knows no orientation of pairs, above `approximate
     what                                                        file
     photographs of one measurement, checked together            photo_set
     pairs verified by their relative orientation                verify
-    rays of tracks by least-squares matching                    rays
-    the block folder                                            folder
-    all of it, photographs in, block folder out                 measure
+    rays of tracks by least-squares matching                    measured_rays
+    the block folder                                            measured_folder
+    all of it, photographs in, block folder out                 measurement
 """
 
-from jaxbundle.measuring.measure import CameraGiven, Measured, MeasureOptions, measure
-from jaxbundle.measuring.photo_set import read_positions
+from jaxbundle.numerics.lazy_names import lazy_names
 
-__all__ = ["CameraGiven", "MeasureOptions", "Measured", "measure", "read_positions"]
+__getattr__, __dir__, __all__ = lazy_names(__name__, __file__)

@@ -6,10 +6,10 @@ from typing import NamedTuple
 import numpy as np
 from jaxtyping import Float, Int
 
-from jaxbundle.camera.registry import CAMERA_MODELS
-from jaxbundle.imagery.candidates import candidates
-from jaxbundle.imagery.features import Features
-from jaxbundle.orientation.relative_orientation import relative_orientation
+from jaxbundle.camera.camera_models import CAMERA_MODELS
+from jaxbundle.imagery.interest_points import Features
+from jaxbundle.imagery.match_candidates import candidates
+from jaxbundle.orientation.relative_orientations import relative_orientation
 
 ROWS = 512  # points of a relative orientation: one program for all pairs
 MIN_MATCHES = 20  # candidates; of fewer, five rays fit too many by chance

@@ -29,8 +29,7 @@ from jaxbundle.normals.leverage import (
 from jaxbundle.normals.pair_products import apply_blocks
 from jaxbundle.normals.point_blocks import backward, point_equations
 from jaxbundle.normals.problem import Linearised, OrderedUnknowns, Problem, Tiles
-from jaxbundle.normals.reduced_system import cofactors as reduced_cofactors
-from jaxbundle.normals.reduced_system import factorise
+from jaxbundle.normals.reduced_system import cofactors as reduced_cofactors, factorise
 from jaxbundle.normals.step import linearise, reduced_system
 from jaxbundle.numerics.devices import AXIS
 

@@ -10,7 +10,7 @@ from jaxtyping import Bool, Float, Int
 
 from jaxbundle.block.block import Block
 from jaxbundle.block.navigation import ATTITUDES, GNSS
-from jaxbundle.block.observations import CONTROL, STATIONS
+from jaxbundle.block.observation_kinds import CONTROL, STATIONS
 from jaxbundle.numerics.host import on_host
 
 ENOUGH = 3  # anchors with all coordinates

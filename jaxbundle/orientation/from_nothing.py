@@ -15,14 +15,14 @@ from jaxtyping import Bool, Float, Int
 from jaxbundle.block.block import Block
 from jaxbundle.block.given import require_a
 from jaxbundle.block.problems import BlockError, Problem
+from jaxbundle.numerics.float64 import require_float64
 from jaxbundle.numerics.host import on_device
-from jaxbundle.numerics.precision import require_float64
 from jaxbundle.orientation.anchors import Given, anchors_of, given_of
 from jaxbundle.orientation.approximation import Approximation, Figure, OrientedPart, Step, Way
 from jaxbundle.orientation.common_rays import Directions
-from jaxbundle.orientation.figures import with_figures
 from jaxbundle.orientation.global_start import GlobalStart, PartOrientation, global_start
 from jaxbundle.orientation.oriented import oriented
+from jaxbundle.orientation.planes_and_lines import with_figures
 from jaxbundle.orientation.robust_intersection import Met, Rays, apart, met
 from jaxbundle.orientation.sight import Sight, direction_sigmas, sight_of
 from jaxbundle.orientation.start_findings import Doubts, start_findings

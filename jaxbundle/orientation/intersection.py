@@ -30,7 +30,7 @@ def intersect(block: Block) -> Block:
     A coordinate that is given is kept. Points whose rays are parallel, or that have one ray only, stay NaN. jit and
     vmap go through it.
     """
-    require_a(Block, block, "intersect")
+    require_a(Block, block, "orientation.intersect")
     xp, points, ray_point = array_module(block), on_host(block.object_points), block.structure.ray_point
     missing = xp.isnan(points)
     rays = np.flatnonzero(missing.any(1)[ray_point]) if block.concrete else np.arange(len(ray_point))

@@ -16,7 +16,7 @@ from jaxbundle.camera.brown import DISTORTION_FREE
 from jaxbundle.geometry.rotation import RotationSystem
 from jaxbundle.numerics.compilation import Compiled
 from jaxbundle.numerics.host import on_device
-from jaxbundle.orientation.resection import resection
+from jaxbundle.orientation.resections import resection
 from jaxbundle.orientation.sight import Sight, angle_off
 from jaxbundle.solve.adjustment import Status
 

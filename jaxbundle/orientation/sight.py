@@ -14,7 +14,7 @@ import numpy as np
 from jaxtyping import Array, Bool, Float, Int
 
 from jaxbundle.block.block import Block
-from jaxbundle.block.observations import CONTROL
+from jaxbundle.block.observation_kinds import CONTROL
 from jaxbundle.block.unknowns import unknowns_of
 from jaxbundle.camera.direction import direction
 from jaxbundle.camera.model import CameraModel

@@ -14,7 +14,7 @@ from typing import NamedTuple
 import numpy as np
 from jaxtyping import Bool, Float
 
-from jaxbundle.orientation.absolute_orientation import absolute_orientation
+from jaxbundle.orientation.absolute_orientations import absolute_orientation
 from jaxbundle.orientation.anchors import Anchors
 
 BENT = 0.005  # of the extent: standard deviation of a place in a part before the adjustment

@@ -13,11 +13,11 @@ import numpy as np
 from jaxtyping import Array, Bool, Float
 
 from jaxbundle.block.block import Block
-from jaxbundle.block.observations import CONTROL
+from jaxbundle.block.observation_kinds import CONTROL
 from jaxbundle.numerics.host import array_module, on_host
 from jaxbundle.planning.flight import FlightPlan
 from jaxbundle.planning.ground import inside
-from jaxbundle.planning.predict import Prediction
+from jaxbundle.planning.prediction import Prediction
 
 Measure = Callable[[Prediction], Array]
 Points = Bool[np.ndarray, " point"]

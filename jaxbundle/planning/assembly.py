@@ -18,11 +18,11 @@ from jaxbundle.block.block import (
     Rays,
     Structure,
 )
-from jaxbundle.block.observations import CONTROL, ObservationGroup, observation_group
+from jaxbundle.block.observation_kinds import CONTROL, ObservationGroup, observation_group
 from jaxbundle.geometry.rotation import OMEGA_PHI_KAPPA
+from jaxbundle.planning.drawn_flight import Incidence, Scene
 from jaxbundle.planning.flight import SCATTER, AerialCamera, FlightPlan
-from jaxbundle.planning.navigation import Observed
-from jaxbundle.planning.scene import Incidence, Scene
+from jaxbundle.planning.navigation_errors import Observed
 
 ROUGH_ANGLE = math.radians(1.0)  # approximate attitudes off the truth; positions are off by SCATTER
 LONG = 1.002  # principal distance at the start over the true one, where it is estimated

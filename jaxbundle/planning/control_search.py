@@ -15,7 +15,7 @@ import numpy as np
 import scipy.linalg
 from jaxtyping import Float, Int
 
-from jaxbundle.planning.candidates import Candidates
+from jaxbundle.planning.control_candidates import Candidates
 
 CRITERIA = ("mean", "worst")
 SWEEPS = 30  # of the exchange; it ends by itself after a few

@@ -12,8 +12,8 @@ from jaxtyping import Float
 
 from jaxbundle.camera.additional_parameters import GRID_SHARE
 from jaxbundle.camera.brown import BROWN, DISTORTION_FREE
+from jaxbundle.camera.camera_models import CAMERA_MODELS
 from jaxbundle.camera.model import CameraModel
-from jaxbundle.camera.registry import CAMERA_MODELS
 
 SCATTER = 0.01  # of the flying height: stations off their places, and approximate values off the truth
 TIE_LAYOUTS = ("shaken", "grid", "random", "schematic")
@@ -241,7 +241,7 @@ def plan_problems(plan: FlightPlan) -> list[str]:
     else:
         found.append(f"no camera model '{camera.distortion}'; there are {', '.join(CAMERA_MODELS)}")
     positive = {"height": plan.height, "image sigma": plan.sigma, "tie points per image": plan.ties.points_per_image}
-    found += [f"the {name} is {value}; give a positive one" for name, value in positive.items() if not value > 0]
+    found += [f"the {name} is {value}; give a positive number" for name, value in positive.items() if not value > 0]
     found += [
         f"a cross strip at {x} of the length; give shares from 0 to 1" for x in plan.cross_strips if not 0 <= x <= 1
     ]

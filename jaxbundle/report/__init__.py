@@ -1,29 +1,13 @@
-"""Results in words, tables and pictures: pure functions of an adjustment, and those that write them.
+"""Reports of results: texts, tables and pictures as pure functions of an adjustment, and functions that write them.
 
-sections         what a report consists of, made once; text, data, files and html render it
-pictures         the numbers of the pictures, which html and plot draw alike
-html             the page; plot: the same pictures in matplotlib, loaded as `jb.plot`
+sections         the content of a report; text, data, files and html render it
+pictures         the numbers of the pictures, drawn by html and plot
+html             the HTML page; plot: the same pictures in matplotlib, as `jb.plot`
 comparison       two results of one block, or two surveys of the same points
-ply              point clouds for viewers
+point_cloud      point clouds for viewers
 made             program, date, command and inputs
 """
 
-from jaxbundle.report.comparison import compare_reports, congruency
-from jaxbundle.report.data import report_dict
-from jaxbundle.report.files import write_report
-from jaxbundle.report.html import report_html, write_html
-from jaxbundle.report.method_report import write_method_report
-from jaxbundle.report.ply import to_ply
-from jaxbundle.report.text import report_text
+from jaxbundle.numerics.lazy_names import lazy_names
 
-__all__ = [
-    "compare_reports",
-    "congruency",
-    "report_dict",
-    "report_html",
-    "report_text",
-    "to_ply",
-    "write_html",
-    "write_method_report",
-    "write_report",
-]
+__getattr__, __dir__, __all__ = lazy_names(__name__, __file__)

@@ -1,12 +1,12 @@
-"""Two results of one block, or two surveys of the same points: differences over their standard deviations, and tests.
+"""Comparing two results of one block, or two surveys of the same points: differences, standard deviations, tests.
 
-    t = (b - a) / sqrt(s_a^2 + s_b^2)           of every unknown that both results have
+    t = (b - a) / sqrt(s_a^2 + s_b^2)           for each unknown of both results
 
-Two results from the same observations are correlated: there t tells how much a change of settings or data matters, in
-standard deviations. Two independent surveys are tested for congruency (Pelzer 1971; Niemeier 2008): if nothing moved,
-the sum of t^2 over all coordinates is chi-square. Points are tested one by one at the level that makes all tests
-together have the level asked for (Sidak 1967). Correlations between points are neglected, as the results do not tell
-them, and both surveys must have the same datum.
+Two results from the same observations are correlated: then t measures the effect of a change of settings or data, in
+units of standard deviations. Two independent surveys are tested for congruency (Pelzer 1971; Niemeier 2008): without
+displacements the sum of t^2 over all coordinates is chi-square distributed. Single points are tested at a level such
+that all tests together have the given level (Sidak 1967). Correlations between points are neglected, as they are not
+part of the results. Both surveys must have the same datum.
 """
 
 from collections.abc import Mapping
@@ -16,7 +16,7 @@ import numpy as np
 from jaxtyping import Bool, Float
 from scipy.special import chdtrc, chdtri
 
-from jaxbundle.statistics.reliability import level_of_one
+from jaxbundle.statistics.reliability_tables import level_of_one
 
 TABLES = ("points", "images", "cameras", "parameters")
 TOLD = (
@@ -36,8 +36,8 @@ LEVEL = 0.05
 
 
 class Differences(NamedTuple):
-    """Rows of one table that both results have: second less first, and over their standard deviations, NaN where none
-    is known. `only`: numbers of rows that the first or the second result has alone."""
+    """Differences of the common rows of one table, second minus first. `t`: divided by their standard deviations, NaN
+    where these are unknown. `only`: numbers of rows in only the first and only the second result."""
 
     table: str
     names: tuple[str, ...]
@@ -49,19 +49,19 @@ class Differences(NamedTuple):
 
 
 class Comparison(NamedTuple):
-    """Names of two results, what they tell of themselves, differing or not, and the differences of their unknowns."""
+    """Comparison of two results: names, differing and equal facts, and the differences of the unknowns."""
 
     names: tuple[str, str]
     facts: tuple[tuple[str, str, str], ...]
     findings: tuple[tuple[str, ...], tuple[str, ...]]
-    """Findings that the first, and that the second, has alone."""
+    """Findings in only the first, and in only the second result."""
     differences: tuple[Differences, ...]
     unit: str
 
 
 class Congruency(NamedTuple):
     """The test whether the points of two surveys are the same. `statistic`: sum of t^2 over `freedom` coordinates;
-    `limit`: what it must not exceed at `level`. `points`: sums of single points, with their common `point_limit`."""
+    `limit`: its limit at `level`. `points`: sums of single points, with their common limit `point_limit`."""
 
     statistic: float
     freedom: int
@@ -74,12 +74,12 @@ class Congruency(NamedTuple):
 
     @property
     def congruent(self) -> bool:
-        """Whether nothing moved: neither the sum of all points nor a single point exceeds its limit."""
+        """Whether there are no displacements: neither the sum of all points nor a single point exceeds its limit."""
         return self.statistic <= self.limit and not self.moved.any()
 
 
 def compare_reports(first: Mapping[str, Any], second: Mapping[str, Any]) -> Comparison:
-    """The comparison of two results as `report_dict` or report.json tells them.
+    """Compares two results, each as a dictionary of `report_dict` or report.json.
 
     Raises: ValueError where they have different units, or nothing in common.
     """
@@ -88,7 +88,7 @@ def compare_reports(first: Mapping[str, Any], second: Mapping[str, Any]) -> Comp
     tables = tuple(_differences(name, first.get(name, {}), second.get(name, {})) for name in TABLES)
     tables = tuple(table for table in tables if table.names)
     if not tables:
-        raise ValueError("the results have no point, image or camera of the same name")
+        raise ValueError("the results have no point, image or camera with the same name")
     facts = [(label, _words(first.get(key)), _words(second.get(key))) for key, label in TOLD]
     facts += _changed_inputs(first, second)
     said = [{_finding(f): None for f in data.get("findings", ())} for data in (first, second)]
@@ -106,7 +106,7 @@ def _finding(entry: Mapping[str, Any]) -> str:
 
 
 def _changed_inputs(first: Mapping[str, Any], second: Mapping[str, Any]) -> list[tuple[str, str, str]]:
-    """Input files of different contents, by the beginning of their hashes."""
+    """Input files with different contents, with the first digits of their hashes."""
     a, b = first.get("inputs") or {}, second.get("inputs") or {}
     return [
         (f"file {name}", a.get(name, "-")[:12], b.get(name, "-")[:12])
@@ -117,7 +117,7 @@ def _changed_inputs(first: Mapping[str, Any], second: Mapping[str, Any]) -> list
 
 def _differences(table: str, first: Mapping[str, Any], second: Mapping[str, Any]) -> Differences:
     common = [name for name in first if name in second]
-    if table in ("cameras", "parameters"):  # their rows differ in elements: a row for each element
+    if table in ("cameras", "parameters"):  # cameras have different elements: one row for each element
         a, b = _by_element(table, first, common), _by_element(table, second, common)
         rows = [row for row in a if row in b]
         left, right, columns = [a[r] for r in rows], [b[r] for r in rows], ("value",)
@@ -142,12 +142,12 @@ def _by_element(table: str, data: Mapping[str, Any], names: list[str]) -> dict[s
 
 
 def congruency(comparison: Comparison, level: float = LEVEL) -> Congruency:
-    """The test of two independent surveys at a level for all of their points together.
+    """Tests two independent surveys at one level for all their points together.
 
-    Raises: ValueError for a level outside of 0 to 1, or where no point has a standard deviation in both.
+    Raises: ValueError for a level not between 0 and 1, or where no point has a standard deviation in both.
     """
     if not 0 < level < 1:
-        raise ValueError(f"the level {level} does not lie between 0 and 1")
+        raise ValueError(f"the level {level} is not between 0 and 1")
     points = [table for table in comparison.differences if table.table == "points"]
     squares = np.nan_to_num(points[0].ratio) ** 2 if points else np.zeros((0, 3))
     known = np.isfinite(points[0].ratio) if points else np.zeros((0, 3), bool)

@@ -1,11 +1,11 @@
-"""A comparison as sections, as text and as a page."""
+"""A comparison of two results as sections, as text and as an HTML page."""
 
 import numpy as np
 
 from jaxbundle.report.comparison import Comparison, Congruency, Differences
+from jaxbundle.report.html.html_tables import section_html
 from jaxbundle.report.html.markup import tag, text
 from jaxbundle.report.html.page import whole_page
-from jaxbundle.report.html.tables import section_html
 from jaxbundle.report.section import (
     Chapter,
     Facts,
@@ -21,12 +21,12 @@ from jaxbundle.report.section import (
 )
 from jaxbundle.report.text import section_lines
 
-SHOWN = 20  # rows of a table of text
+SHOWN = 20  # rows of a table in the text
 TITLES = {"points": "Object points", "images": "Images", "cameras": "Cameras", "parameters": "Parameters"}
 
 
 def comparison_sections(found: Comparison, test: Congruency | None = None) -> list[Section]:
-    """What differs between two results, the largest differences first; with `test` that of two surveys."""
+    """Sections of the differences between two results, the maximum first; with `test` also of a congruency test."""
     changed = [fact(label, f"{a}  ->  {b}") for label, a, b in found.facts if a != b]
     same = [fact(label, a) for label, a, b in found.facts if a == b and a != "-"]
     only = [
@@ -34,7 +34,7 @@ def comparison_sections(found: Comparison, test: Congruency | None = None) -> li
     ]
     sections = [Section("Congruency of two surveys", (_test(found, test),), Chapter.VERDICT)] if test else []
     sections += [
-        Section("What differs", (Facts(tuple(changed), 20),) if changed else ("nothing of what the results tell",)),
+        Section("What differs", (Facts(tuple(changed), 20),) if changed else ("nothing",)),
         Section("What is the same", (Facts(tuple(same), 20),)),
         Section("Findings", (Facts(tuple(only), 20),) if only else ("the same in both",)),
     ]
@@ -53,7 +53,7 @@ def _test(found: Comparison, test: Congruency) -> Facts:
     return Facts(
         (
             fact("Test", words),
-            fact("Moved points", f"{len(moved)}: {which}" if moved else "none"),
+            fact("Displaced points", f"{len(moved)}: {which}" if moved else "none"),
             fact("Assumed", assumed),
         ),
         16,
@@ -64,7 +64,7 @@ def _section(found: Differences, whole: Comparison, test: Congruency | None) -> 
     size = np.nan_to_num(np.abs(found.ratio)).max(1, initial=0.0)
     order = np.argsort(-size, kind="stable")
     heads = [f"d{c}" if c != "value" else "difference" for c in found.columns]
-    sds = [f"sd {h}" for h in heads] if len(heads) <= 3 else ()  # six elements of an image would fill the page
+    sds = [f"sd {h}" for h in heads] if len(heads) <= 3 else ()  # six elements of an image fill the width of a page
     columns = [
         name_column(found.table.removesuffix("s"), found.names),
         *numbers(heads, found.difference, heads, show=lambda v: digits(v, 4), place=1),
@@ -77,11 +77,11 @@ def _section(found: Differences, whole: Comparison, test: Congruency | None) -> 
     t = found.ratio[np.isfinite(found.ratio)]
     rms = float(np.sqrt(np.mean(t**2))) if len(t) else float("nan")
     said = f"{len(found.names)} in both, {found.only[0]} only in A, {found.only[1]} only in B"
-    said += f"; rms of t {digits(rms, 3)}, largest {digits(float(size.max(initial=0.0)), 3)}"
+    said += f"; rms of t {digits(rms, 3)}, maximum {digits(float(size.max(initial=0.0)), 3)}"
     more = f"... the first {SHOWN} of {len(order)} rows; the page has more (--out)" if len(order) > SHOWN else ""
     table = ReportTable(found.table, tuple(columns), order[:SHOWN], more, in_file=False, rows=order)
     unit = f" [{whole.unit}]" if found.table == "points" else ""
-    return Section(f"{TITLES[found.table]}: B less A, the largest t first{unit}", (said, table))
+    return Section(f"{TITLES[found.table]}: B minus A, maximum t first{unit}", (said, table))
 
 
 def comparison_text(found: Comparison, test: Congruency | None = None) -> str:
@@ -93,7 +93,7 @@ def comparison_text(found: Comparison, test: Congruency | None = None) -> str:
 
 
 def comparison_html(found: Comparison, test: Congruency | None = None) -> str:
-    """The comparison as one page, as `report_html` makes them."""
+    """The comparison as one HTML page, similar to `report_html`."""
     body = [
         tag("section", section_html(section, {}, {}), class_="chapter") for section in comparison_sections(found, test)
     ]

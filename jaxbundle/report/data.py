@@ -1,7 +1,7 @@
-"""The report as a table of tables: numbers, names, lists and None, ready for JSON.
+"""The report as nested dictionaries of numbers, names, lists and None, ready for JSON.
 
-A value stands as [value, standard deviation]: a posteriori, object unit and angle unit of the block; 0 = held,
-None = not known.
+A value with its a-posteriori standard deviation is a list [value, standard deviation], in the object unit or
+angle unit of the block; a standard deviation of 0 means fixed, None means unknown.
 """
 
 import json
@@ -20,8 +20,8 @@ from jaxbundle.solve.adjustment import Adjustment
 
 
 def report_dict(adjustment: Adjustment) -> dict[str, Any]:
-    """The report of a concrete adjustment: counts, sigma0, all unknowns with their standard deviations."""
-    require_a(Adjustment, adjustment, "report_dict")
+    """The report of a concrete adjustment as a dictionary: counts, sigma0, unknowns with standard deviations."""
+    require_a(Adjustment, adjustment, "report.report_dict")
     figures = figures_of(adjustment)
     return dict_of(figures, [*(section() for section in sections_of(figures)), made_section(figures)])
 
@@ -41,7 +41,7 @@ def dict_of(figures: Figures, sections: Sequence[Section]) -> dict[str, Any]:
 
 
 def _entries(table: ReportTable, rows: np.ndarray) -> dict[str, Any]:
-    """The results of a table by the names of their rows: {column: value}, or the value where two names tell all."""
+    """The results of a table by row names: {column: value}, or just the value for rows with two names."""
     names = [_taken(column, rows) for column in table.columns if column.is_name and column.in_file]
     deviations = {column.deviation_of: column for column in table.columns if column.deviation_of}
     columns = {}
@@ -65,7 +65,7 @@ def _taken(column: ReportColumn, rows: np.ndarray) -> list[str]:
 
 
 def finite(value: Any) -> Any:
-    """The same as JSON can hold it: tables by name, lists, names and numbers; None in place of what is not finite."""
+    """Converts nested data to types of JSON; None replaces numbers that are not finite."""
     if isinstance(value, Mapping):
         return {str(key): finite(item) for key, item in value.items()}
     if isinstance(value, np.ndarray) and value.dtype.kind == "f":

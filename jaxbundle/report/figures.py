@@ -1,4 +1,4 @@
-"""An adjustment's numbers as numpy arrays in the user's units: converted once, printed many times."""
+"""The numbers of an adjustment as numpy arrays in the user's units: converted once for all parts of a report."""
 
 from dataclasses import dataclass
 
@@ -7,20 +7,20 @@ from jaxtyping import Bool, Float, Int
 
 from jaxbundle.block.block import Structure
 from jaxbundle.block.findings import Finding
-from jaxbundle.block.observations import CONTROL, ObservationGroup
+from jaxbundle.block.observation_kinds import CONTROL, ObservationGroup
 from jaxbundle.block.wording import RADIANS
 from jaxbundle.diagnosis.adjusted import findings
 from jaxbundle.report.group_tables import GroupTable, group_tables
 from jaxbundle.solve.adjustment import DOWN_WEIGHTED, Adjustment
-from jaxbundle.statistics.reliability import Reliability, reliability
+from jaxbundle.statistics.reliability_tables import Reliability, reliability
 from jaxbundle.statistics.significance import parameter_ratios
 
 
 @dataclass(frozen=True, eq=False)
 class Figures:
-    """Values and a-posteriori standard deviations (`_sd`): 0 for what is held, NaN where none were computed.
+    """Values and a-posteriori standard deviations (`_sd`): 0 for fixed values, NaN where none were computed.
 
-    Angles are in the block's angle unit. `residuals` and `normalised` (v / sigma): the rays, then every group.
+    Angles are in the block's angle unit. `residuals` and `normalised` (v / sigma): the rays, then each group.
     """
 
     adjustment: Adjustment
@@ -46,16 +46,16 @@ class Figures:
 
     @property
     def unknown_points(self) -> Int[np.ndarray, " unknown"]:
-        """Points with a coordinate that is not fixed."""
+        """Indices of points with a coordinate that is not fixed."""
         return np.flatnonzero(self.structure.point_free.any(1))
 
     @property
     def control_point(self) -> Bool[np.ndarray, " point"]:
-        """Points of which a coordinate is fixed or observed."""
+        """Indices of points with a fixed or observed coordinate."""
         control = np.zeros(len(self.points), bool)
         control[np.nonzero(~self.structure.point_free)[0]] = True
         for group in self.groups:
-            if group.structure.kind.name == CONTROL.name:  # an adjustment that was pickled has kinds of its own
+            if group.structure.kind.name == CONTROL.name:  # an unpickled adjustment has its own objects of the kinds
                 control[group.structure.indices[:, 0]] = True
         return control
 
@@ -66,12 +66,12 @@ class Figures:
 
     @property
     def groups(self) -> tuple[ObservationGroup, ...]:
-        """Observations that are no rays."""
+        """Groups of observations other than rays."""
         return self.adjustment.block.groups
 
     @property
     def ray_size(self) -> Float[np.ndarray, " ray"]:
-        """The larger of a ray's two |w| / sigma0, or |v| / (sigma0 sigma) where there is no w; 0 for sigma0 = 0."""
+        """The maximum of a ray's two |w| / sigma0, or |v| / (sigma0 sigma) where there is no w; 0 for sigma0 = 0."""
         size = np.abs(self.normalised[0] if self.reliability is None else self.reliability.w[0]).max(1, initial=0.0)
         return size / self.sigma0 if self.sigma0 > 0 else np.zeros_like(size)
 
@@ -83,7 +83,7 @@ class Figures:
 
     @property
     def down_weighted(self) -> Int[np.ndarray, " ray"]:
-        """Rays that lost more than half of their weight, the smallest weight first."""
+        """Indices of rays that lost more than half of their weight, the minimum weight first."""
         if self.weights is None:
             return np.zeros(0, int)
         rays = np.flatnonzero(self.weights < DOWN_WEIGHTED)
@@ -91,7 +91,7 @@ class Figures:
 
     @property
     def significance(self) -> Float[np.ndarray, " parameter"]:
-        """|value| / sd of the parameters; NaN where it tells nothing: held, not determined, or 0 has no meaning."""
+        """|value| / sd of the parameters; NaN where it has no meaning: fixed, undetermined, 0 not special."""
         return parameter_ratios(self.adjustment)
 
     def correlations(self) -> list[tuple[int, str, str, float]]:
@@ -109,7 +109,7 @@ class Figures:
 
 
 def figures_of(adjustment: Adjustment, found: tuple[Finding, ...] | None = None) -> Figures:
-    """The numbers of a concrete adjustment, and what was `found`; if None, it is looked for."""
+    """The numbers of a concrete adjustment. `found`: its findings; if None, they are computed."""
     block, structure = adjustment.block, adjustment.block.structure
     to_unit = np.array([1.0] * 3 + [1 / RADIANS[structure.angle_unit]] * 3)
     is_angle = np.array([parameter.angle for parameter in structure.parameters], bool)
@@ -146,7 +146,7 @@ def figures_of(adjustment: Adjustment, found: tuple[Finding, ...] | None = None)
 
 
 def _standard_deviations(adjustment: Adjustment) -> tuple[np.ndarray, np.ndarray, np.ndarray, np.ndarray]:
-    """Of exterior, interior, parameters and points."""
+    """Standard deviations of exterior orientations, interior elements, parameters and points."""
     structure = adjustment.block.structure
     free = structure.exterior_free, structure.interior_free, structure.parameter_free, structure.point_free
     if adjustment.cofactors is None:

@@ -1,6 +1,6 @@
 """The results of an adjustment as a folder: report.txt, report.json and CSV tables.
 
-There is never a half-written result: see `folder`. What no adjustment wrote stays in the folder.
+The result is never half-written: see `folder`. Files that no adjustment wrote remain in the folder.
 """
 
 import tempfile
@@ -18,10 +18,10 @@ from jaxbundle.block.given import require_a, require_photographs
 from jaxbundle.io.tables import Columns, write_table
 from jaxbundle.report.data import dict_of, json_text
 from jaxbundle.report.figures import figures_of
-from jaxbundle.report.folder import DATA, PAGE, TEXT, replaced, require_writable
 from jaxbundle.report.group_tables import table_names
 from jaxbundle.report.html.page import html_of
 from jaxbundle.report.made import Made, made_now, made_section
+from jaxbundle.report.result_folder import DATA, PAGE, TEXT, replaced, require_writable
 from jaxbundle.report.section import Picked, ReportTable, Section
 from jaxbundle.report.sections import sections_of
 from jaxbundle.report.text import text_of
@@ -29,11 +29,11 @@ from jaxbundle.solve.adjustment import Adjustment
 
 ARRAYS = "adjustment.npz"
 # bytes of a row in a table and in report.json, rounded up from reports of 2700 images, 540 thousand points and
-# 6.3 million rays, with names of 6 letters; a number has up to 24 letters, on average 18
+# # 6.3 million rays, with names of 6 letters; a number has up to 24 letters, on average 18
 _ROW = {"image": 700, "point": 400, "ray": 220, "other": 300}
 _TEXT = 50_000  # report.txt shows the first rows of each table only
-_PAGE, _MOST_PAGE = 150_000, 3_000_000  # report.html: style and script, and its largest
-_PAGE_ROW = 120  # bytes of it for each point, as long as it shows all
+_PAGE, _MOST_PAGE = 150_000, 3_000_000  # report.html: style and script, and its maximum
+_PAGE_ROW = 120  # bytes per point, as long as the page shows all points
 
 
 def write_report(
@@ -44,18 +44,18 @@ def write_report(
 ) -> Path:
     """Writes all results of a concrete adjustment into a folder and returns its path.
 
-    `found`: the findings, as `findings` gives them; they are looked for if None is given. `made`: program, date,
-    command and inputs; without it this moment.
+    `found`: the findings of `findings`; computed if None. `made`: program, date, command and inputs; the current
+    ones if None.
 
-    Raises: FileExistsError where the folder holds files of these names that no adjustment wrote; another OSError where
-    it cannot be written; ValueError for sensors that are not photographs.
+    Raises: FileExistsError where the folder contains files with these names that no adjustment wrote; another OSError
+    where it cannot be written; ValueError for sensors that are not photographs.
     """
     require_a(Adjustment, adjustment, "write_report")
     require_photographs(adjustment.block, "write_report")
     robust = adjustment.reweighting is not None
     target, names = Path(folder), result_files(adjustment.block, robust)
     require_place(target, adjustment.block, robust)
-    with np.errstate(all="ignore"):  # what overflows or is not known is empty in the tables
+    with np.errstate(all="ignore"):  # overflows and unknown values are empty in the tables
         figures = figures_of(adjustment, found)
         sections = [*(section() for section in sections_of(figures)), made_section(figures, made or made_now())]
         with replaced(target, names) as place:
@@ -68,7 +68,7 @@ def write_report(
 
 
 def result_files(block: Block, robust: bool = False) -> list[str]:
-    """Names of the files that a report of this block consists of, report.txt last."""
+    """Names of the files of a report of this block, report.txt last."""
     parameters = ["parameters.csv"] if block.structure.parameters else []
     check = ["check_points.csv"] if len(block.structure.check_point) else []
     groups = [f"{name}.csv" for name in table_names(block)]
@@ -79,7 +79,7 @@ def result_files(block: Block, robust: bool = False) -> list[str]:
 
 
 def require_place(folder: str | Path, block: Block, robust: bool = False) -> None:
-    """Tries the place of a report of this block: writes a file there, and looks for space for the report.
+    """Checks before the adjustment that a report can be written to a folder: writes a file, and checks the free space.
 
     Raises: OSError in one sentence with the path and the cure.
     """
@@ -87,7 +87,7 @@ def require_place(folder: str | Path, block: Block, robust: bool = False) -> Non
 
 
 def report_size(block: Block) -> int:
-    """About how many bytes a report of this block takes."""
+    """Approximate size in bytes of a report of this block."""
     structure = block.structure
     rows = {
         "image": len(structure.image_names) + len(structure.cameras),
@@ -100,16 +100,16 @@ def report_size(block: Block) -> int:
 
 
 def rescue(adjustment: Adjustment, found: tuple[Finding, ...] | None = None) -> Path:
-    """Keeps in a new temporary folder whatever of an adjustment can be written, and returns the folder's path.
+    """Saves as much of an adjustment as possible to a new temporary folder, and returns the path of this folder.
 
-    That is the whole report; if something is wrong with that, all arrays in one file and the tables that can be made.
+    This is the whole report; if it fails, all arrays in one file and the tables that can be made.
 
     Raises: OSError where no temporary folder can be written.
     """
     folder = Path(tempfile.mkdtemp(prefix="jaxbundle-results-"))
     try:
         return write_report(adjustment, folder, found)
-    except Exception:  # whatever it is, it is told elsewhere; here the numbers are kept
+    except Exception:  # any error is reported elsewhere; here the numbers are saved
         leaves = jax.tree_util.tree_flatten_with_path(adjustment)[0]
         arrays: dict[str, Any] = {jax.tree_util.keystr(path).lstrip("."): np.asarray(leaf) for path, leaf in leaves}
         with (folder / ARRAYS).open("wb") as file:
@@ -119,7 +119,7 @@ def rescue(adjustment: Adjustment, found: tuple[Finding, ...] | None = None) -> 
 
 
 def _write_possible(adjustment: Adjustment, folder: Path) -> None:
-    """Those tables that can be made."""
+    """Writes the tables that can be made."""
     try:
         sections = sections_of(figures_of(adjustment, ()))
     except Exception:

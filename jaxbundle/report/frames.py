@@ -1,4 +1,4 @@
-"""The tables of a report as polars frames."""
+"""Conversion of the tables of a report to polars frames."""
 
 import numpy as np
 import polars as pl
@@ -12,11 +12,11 @@ from jaxbundle.solve.adjustment import Adjustment
 
 
 def frames_of(adjustment: Adjustment, *, units: bool = True) -> dict[str, pl.DataFrame]:
-    """All tables of an adjustment by name; `units`: whether names of columns have their units."""
+    """All tables of an adjustment by name; `units`: whether names of columns contain units."""
     if not is_concrete(adjustment):
         raise ValueError("tables are made of numbers: call to_frames outside of jit, grad and vmap")
     require_photographs(adjustment.block, "to_frames")
-    with np.errstate(all="ignore"):  # what overflows or is not known is null in the tables
+    with np.errstate(all="ignore"):  # overflows and unknown values are null in the tables
         sections = [section() for section in sections_of(figures_of(adjustment, ()))]
     frames = {}
     for table in (table for section in sections for table in tables_of(section)):

@@ -1,4 +1,4 @@
-"""Observations that are no rays as tables: groups of one kind together, in the user's names and units."""
+"""Tables of observations other than rays: groups of one kind together, in the user's names and units."""
 
 from collections.abc import Iterable
 from dataclasses import dataclass
@@ -7,16 +7,16 @@ import numpy as np
 from jaxtyping import Float
 
 from jaxbundle.block.block import Block, Parameter, Structure
-from jaxbundle.block.observations import PARAMETERS, ObservationGroup, ObservationKind
+from jaxbundle.block.observation_kinds import PARAMETERS, ObservationGroup, ObservationKind
 from jaxbundle.block.wording import IMAGE, RADIANS
 
-OTHER_NAMES = {"parameters": "priors", "interior": "interior_priors"}  # tables of the report have these names already
+OTHER_NAMES = {"parameters": "priors", "interior": "interior_priors"}  # names of other tables of the report
 TAKEN = ("images", "cameras", "points", "rays", "check_points", "inner_orientation", "fiducials", "down_weighted")
 
 
 @dataclass(frozen=True)
 class GroupTable:
-    """`who` names what each member touches, column by column. Values in the user's units, NaN where not observed.
+    """The table of one group. `who`: names of the points or images of each member, by column. Values in user's units.
 
     `normalised`: v / sigma; of correlated components, v times the root of their weight matrix. Redundancy numbers `r`
     and standardised residuals `w`, NaN where none were computed.
@@ -35,12 +35,12 @@ class GroupTable:
 
     @property
     def title(self) -> str:
-        """The name as it stands in a sentence."""
+        """The name for use in a sentence."""
         return self.name.replace("_", " ")
 
 
 def table_name(kind: ObservationKind) -> str:
-    """The name of a kind's table in a report."""
+    """The name of the table of a kind in a report."""
     name = OTHER_NAMES.get(kind.table, kind.table)
     return f"{name}_observed" if name in TAKEN else name
 
@@ -51,7 +51,7 @@ def table_names(block: Block) -> list[str]:
 
 
 def _together(groups: Iterable[ObservationGroup]) -> dict[str, list[int]]:
-    """Numbers of the groups by the name of their table: those of one kind, and of one kind between other ends."""
+    """Indices of the groups of each table: groups of one kind, with any kind of ends."""
     tables: dict[str, list[int]] = {}
     components: dict[str, tuple[str, ...]] = {}
     for k, group in enumerate(groups):
@@ -66,7 +66,7 @@ def _together(groups: Iterable[ObservationGroup]) -> dict[str, list[int]]:
 
 
 def group_tables(block: Block, *numbers_of_groups: tuple[np.ndarray, ...]) -> list[GroupTable]:
-    """A table for each kind of observation; residuals, normalised ones, r and w of all groups, without the rays'."""
+    """A table for each kind of observation. Arguments: residuals, normalised residuals, r and w of all groups."""
     tables = []
     for name, numbers in _together(block.groups).items():
         parts = [_part(name, block, block.groups[k], *(x[k] for x in numbers_of_groups)) for k in numbers]
@@ -92,7 +92,7 @@ def _part(name: str, block: Block, group: ObservationGroup, residuals: np.ndarra
         np.where(observed, array, np.nan) / factor for array in (np.asarray(group.values), sigmas_of(group), residuals)
     )
     who, components = member_names(block.structure, group), kind.components
-    if kind.name == "interior":  # cameras differ in their elements: an element a row
+    if kind.name == "interior":  # cameras have different elements: one row for each element
         rows, elements = np.nonzero(observed)
         who = {key: [column[r] for r in rows] for key, column in who.items()}
         who["element"] = [components[k] for k in elements]
@@ -103,7 +103,7 @@ def _part(name: str, block: Block, group: ObservationGroup, residuals: np.ndarra
 
 
 def sigmas_of(group: ObservationGroup) -> Float[np.ndarray, "member component"]:
-    """Standard deviations a priori, from the covariances where there are some."""
+    """A-priori standard deviations, from the covariances where given."""
     if group.covariances is None:
         return np.asarray(group.sigmas)
     return np.sqrt(np.diagonal(np.asarray(group.covariances), axis1=1, axis2=2))
@@ -112,7 +112,7 @@ def sigmas_of(group: ObservationGroup) -> Float[np.ndarray, "member component"]:
 def _units(
     structure: Structure, group: ObservationGroup
 ) -> tuple[Float[np.ndarray, "member #component"], tuple[str, ...]]:
-    """Size of the user's units in those of the block, and their names; "" where members differ or it is not known."""
+    """Size of the user's units in those of the block, and their names; "" where members differ or it is unknown."""
     kind, angle = group.structure.kind, RADIANS[structure.angle_unit]
     count, components = len(group.structure.indices), len(kind.components)
     if kind.angles:
@@ -124,10 +124,11 @@ def _units(
 
 
 def member_names(structure: Structure, group: ObservationGroup) -> dict[str, list[str]]:
-    """Names of what each member of a group touches, by column.
+    """Names of the points, images, cameras or parameters of each member, by column.
 
-    "from" and "to" where it lies between two points or images, an image's name behind "image:"; else "point", "image"
-    and "camera", numbered if there are several; "parameter", or "parameters" for what several of them belong to.
+    Columns are "from" and "to" for observations between two points or images, with "image:" before the name of an
+    image; otherwise "point", "image" and "camera", numbered if there are several; and "parameter", or "parameters" for
+    the owner of several parameters.
     """
     touches, indices = group.structure.kind.touches, group.structure.indices
     between = sum(kind in ("point", "image") for kind in touches) == 2
@@ -152,7 +153,7 @@ def member_names(structure: Structure, group: ObservationGroup) -> dict[str, lis
 
 
 def _common(parameters: list[Parameter]) -> str:
-    """One parameter's name; of several the owner they have in common, such as "strip 1"."""
+    """The name of one parameter, or the common owner of several, such as "strip 1"."""
     first = parameters[0]
     if len(parameters) == 1:
         return first.name

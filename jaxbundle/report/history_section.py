@@ -1,15 +1,15 @@
-"""The section of the iterations: what each step did to v^T P v."""
+"""The section of the iterations: the effect of each step on v^T P v."""
 
 import numpy as np
 
 from jaxbundle.report.figures import Figures
 from jaxbundle.report.section import Chapter, ReportColumn, ReportTable, Section, digits, first, of_page
 
-SHOWN = 30  # iterations on a page of text
+SHOWN = 30  # maximum number of iterations in the text
 
 
 def history(figures: Figures) -> Section:
-    """Every iteration: v^T P v after it, its damping, the length of its step, and whether that was accepted."""
+    """A table of all iterations: v^T P v after the step, damping, length of the step, and whether it was accepted."""
     kept = figures.adjustment.iterations.history
     cost, damping, step = (np.asarray(x) for x in (kept.cost, kept.damping, kept.step))
     accepted = np.asarray(kept.accepted)
@@ -25,6 +25,6 @@ def history(figures: Figures) -> Section:
     )
     every = np.arange(len(rows))
     shown, more = first(every, SHOWN, "iterations")
-    more = more.replace("the tables hold", "report.json holds")
+    more = more.replace("the tables contain", "report.json contains")
     table = ReportTable("history", columns, shown, more, results=every, in_file=False, rows=every)
     return Section("Iterations", (table,), Chapter.ITERATIONS)

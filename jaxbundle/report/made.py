@@ -1,4 +1,4 @@
-"""How a report was made: program, date, command, inputs with their hashes, units, and signs and formulas."""
+"""Origin of a report: program, date, command, inputs with their hashes, units, signs and formulas."""
 
 import hashlib
 import tomllib
@@ -13,29 +13,29 @@ from jaxbundle.report.section import Chapter, Facts, Section, fact
 
 SETTINGS = "block.toml"
 FORMULAS = (
-    ("Residual v", "computed less observed; y of images points up; differences at points are adjusted less given."),
-    ("sigma0", "sqrt(vTPv / redundancy). With right sigmas it lies between the limits of the global test, near 1."),
+    ("Residual v", "computed - observed; y of images points up; differences at points are adjusted - given."),
+    ("sigma0", "sqrt(vTPv / redundancy). With correct sigmas it is near 1, between the limits of the global test."),
     (
         "Standard deviation sd",
-        "sigma0 times the root of the cofactor, from the inverse of the normal equations. It is internal: it tells"
-        " what random errors do, not what systematic ones did.",
+        "sigma0 times the root of the cofactor, from the inverse of the normal equations. It is internal: it measures"
+        " the effect of random errors, not of systematic ones.",
     ),
     (
         "Redundancy number r",
-        "the part of an error that shows in its own residual, 0 to 1; below 0.04 an error cannot be seen.",
+        "the part of an error that appears in its residual, 0 to 1; below 0.04 an error stays hidden.",
     ),
     ("Standardised residual w", "v / (sigma sqrt(r)); |w| / sigma0 above 3.3 happens by chance once in 1000."),
-    ("MDE", "sigma 4.13 / sqrt(r): the smallest error found with a power of 80 % at a level of 0.1 %."),
+    ("MDE", "sigma 4.13 / sqrt(r): the minimum error detected with a power of 80 % at a level of 0.1 %."),
     (
         "Check points",
-        "took no part, so their differences are external accuracy. t = difference / sd; where sd is honest, 95 of 100"
-        " lie within 2.",
+        "were not used, so their differences are external accuracy. t = difference / sd; with realistic sd, 95 of 100"
+        " are within 2.",
     ),
 )
 
 
 class Made(NamedTuple):
-    """What made a result. `inputs`: names and SHA-256 of the files that were read; `date`: UTC, "" for none."""
+    """Origin of a result. `inputs`: names and SHA-256 of the files that were read; `date`: UTC, "" if unknown."""
 
     version: str
     date: str = ""
@@ -44,22 +44,22 @@ class Made(NamedTuple):
 
 
 def program_version() -> str:
-    """The version of the program, as it is installed."""
+    """The installed version of the program."""
     try:
         return version("jaxbundle")
-    except PackageNotFoundError:  # used from its source
+    except PackageNotFoundError:  # used from the source tree
         return "not installed"
 
 
 def made_now(command: str = "", inputs: Iterable[Path] = ()) -> Made:
-    """This moment, the command, and the files as they are now."""
+    """The current time, the command, and the present state of the files."""
     hashed = [(path.name, _digest(path)) for path in inputs]
     date = datetime.now(UTC).strftime("%Y-%m-%d %H:%M UTC")
     return Made(program_version(), date, command, tuple(hashed))
 
 
 def _digest(path: Path) -> str:
-    """SHA-256 of a file; a file beside the tables that cannot be read must not end an adjustment."""
+    """SHA-256 of a file; an additional file that cannot be read must not stop an adjustment."""
     try:
         with path.open("rb") as file:
             return hashlib.file_digest(file, "sha256").hexdigest()
@@ -68,7 +68,7 @@ def _digest(path: Path) -> str:
 
 
 def input_files(path: Path) -> list[Path]:
-    """The files that a block at this path is read from: its own file, or block.toml and the tables of its folder."""
+    """The files of the block at this path: its single file, or block.toml and the tables of its folder."""
     if path.is_file() and path.name != SETTINGS:
         return [path]
     folder = path if path.is_dir() else path.parent
@@ -80,7 +80,7 @@ def input_files(path: Path) -> list[Path]:
 
 
 def made_section(figures: Figures, made: Made | None = None) -> Section:
-    """Program, inputs, units, rotation, signs; without `made` the version of the program alone."""
+    """Program, inputs, units, rotation, signs; without `made` only the version of the program."""
     made = made or Made(program_version())
     structure = figures.structure
     images = sorted({camera.image_unit for camera in structure.cameras})

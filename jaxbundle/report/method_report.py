@@ -11,19 +11,19 @@ from jaxbundle.io.tables import write_table
 from jaxbundle.report.data import dict_of, json_text
 from jaxbundle.report.figures import figures_of
 from jaxbundle.report.files import columns_of, report_size, tables_of
-from jaxbundle.report.folder import DATA, TEXT, replaced, require_writable
 from jaxbundle.report.group_tables import table_names
 from jaxbundle.report.method_sections import MethodAdjustment, method_sections
+from jaxbundle.report.result_folder import DATA, TEXT, replaced, require_writable
 from jaxbundle.report.text import text_of
 
 OWN_TABLES = {"models": ("models", "model_points"), "strips": ("strips", "coefficients", "corrected_points")}
 EVERY_TABLE = ("images", "points", "check_points")
-# these speak of rays of photographs: a point of one model only is no weak one, coefficients of curves may be 0
+# findings about rays of photographs: a point in one model only is not weak here, coefficients of curves may be 0
 OF_PHOTOGRAPHS = (Kind.WEAK, Kind.CORRELATED, Kind.INSIGNIFICANT, Kind.UNCONTROLLED, Kind.TWO_RAYS)
 
 
 def method_findings(result: MethodAdjustment) -> tuple[Finding, ...]:
-    """What the method found and left out, and what its adjustment tells."""
+    """Findings of the method, points that it left out, and findings of its adjustment."""
     told = [finding for finding in findings(result.adjustment) if finding.kind not in OF_PHOTOGRAPHS]
     return in_order((*result.findings, *told))
 
@@ -36,7 +36,7 @@ def write_method_report(result: MethodAdjustment, folder: str | Path, found: tup
     Raises: OSError where the folder cannot be written.
     """
     target = Path(folder)
-    with np.errstate(all="ignore"):  # what overflows or is not known is empty in the tables
+    with np.errstate(all="ignore"):  # overflows and unknown values are empty in the tables
         figures = figures_of(result.adjustment, method_findings(result) if found is None else found)
         precision = result.propagated() if result.adjustment.cofactors is not None else None
         sections = [section() for section in method_sections(result, figures, precision)]
@@ -51,7 +51,7 @@ def write_method_report(result: MethodAdjustment, folder: str | Path, found: tup
 
 
 def require_place_of_method(folder: str | Path, block: Block, method: str) -> None:
-    """Tries the place of a report before the work: writes a file there, and looks for space.
+    """Checks before the adjustment that a report can be written: writes a file, and checks the free space.
 
     Raises: OSError in one sentence with the path and the cure.
     """

@@ -1,5 +1,5 @@
-"""Sections of the report of independent models or strips: the photographs first, as in a report of the bundle, so that
-the reports of the methods can be laid side by side; then the models or strips themselves."""
+"""Sections of the report of independent models or strips. The photographs come first, as in a report of the bundle, so
+that reports can be compared; then the models or strips."""
 
 import dataclasses
 from collections.abc import Callable
@@ -8,11 +8,10 @@ from functools import partial
 import numpy as np
 
 from jaxbundle.block.wording import RADIANS
-from jaxbundle.independent.adjust_models import ModelAdjustment
-from jaxbundle.independent.adjust_strips import StripAdjustment
+from jaxbundle.independent.model_adjustment import ModelAdjustment
 from jaxbundle.independent.propagation import Propagated
-from jaxbundle.report import sections as of_adjustment
-from jaxbundle.report import unknown_sections as of
+from jaxbundle.independent.strip_adjustment import StripAdjustment
+from jaxbundle.report import sections as of_adjustment, unknown_sections as of
 from jaxbundle.report.figures import Figures
 from jaxbundle.report.section import (
     Facts,
@@ -39,7 +38,7 @@ COORDINATES, RESIDUALS = ("X", "Y", "Z"), ("vx", "vy", "vz")
 def method_sections(
     result: MethodAdjustment, figures: Figures, precision: Propagated | None
 ) -> list[Callable[[], Section]]:
-    """The sections in their order. `figures`: of the adjustment of models or strips."""
+    """The sections in their order. `figures`: numbers of the adjustment of models or strips."""
     photographs = as_photographs(result, figures, precision)
     own = (_models, _model_points) if isinstance(result, ModelAdjustment) else (_strips, _coefficients, _corrected)
     groups = of_adjustment.group_sections(figures)
@@ -58,8 +57,8 @@ def method_sections(
 
 
 def as_photographs(result: MethodAdjustment, figures: Figures, precision: Propagated | None) -> Figures:
-    """The figures of the photographs: orientations and points with their standard deviations by the method, those by
-    propagation where they are known."""
+    """The numbers of the photographs: orientations and points with their standard deviations from the method, or by
+    propagation where known."""
     block, count = result.block, len(result.points)
     structure, radians = block.structure, RADIANS[block.structure.angle_unit]
     exterior = np.hstack([block.exterior.projection_centre, np.asarray(block.exterior.angles) / radians])
@@ -90,11 +89,11 @@ def as_photographs(result: MethodAdjustment, figures: Figures, precision: Propag
 
 
 def _method(result: MethodAdjustment, precision: Propagated | None) -> Section:
-    """Which method, and what its standard deviations are."""
+    """Section with the method and the origin of its standard deviations."""
     if isinstance(result, ModelAdjustment):
         shared = result.adjustment.block.structure.model.elements[1:]
         text = f"independent models, {len(result.models)} of two images, 7 unknowns each"
-        text += ", and the errors that all points of a model share" if shared else ""
+        text += ", and the common errors of all points of a model" if shared else ""
         method = "models"
     else:
         text = f"independent strips, {len(result.strips)} of {len(result.models)} models: "
@@ -102,9 +101,7 @@ def _method(result: MethodAdjustment, precision: Propagated | None) -> Section:
         method = "strips"
     facts = [fact("Method", text, method_of_adjustment=method)]
     if precision is None:
-        facts.append(
-            fact("Precision", "from the weights of the method, which know nothing of errors that points share")
-        )
+        facts.append(fact("Precision", "from the weights of the method, which neglect errors that points share"))
     else:
         words = "points and projection centres by propagation of the errors of the image coordinates, on average"
         words += f" {precision.ratio:.2f} times those from the weights; sigma0 of the image coordinates"
@@ -115,7 +112,7 @@ def _method(result: MethodAdjustment, precision: Propagated | None) -> Section:
 
 
 def _models(result: ModelAdjustment, figures: Figures) -> Section:
-    """Seven parameters of each model, with what its points tell."""
+    """A table of the seven parameters of each model, with statistics of its points."""
     s, unit = figures.structure, figures.structure.object_unit
     units = [unit] * 3 + [s.angle_unit] * 3
     v, count = result.residuals, len(s.image_names)
@@ -141,7 +138,7 @@ def _places(deviations: np.ndarray) -> list[int]:
 
 
 def _model_points(result: ModelAdjustment, figures: Figures) -> Section:
-    """Residuals of model points in the systems of their models; a page has the largest."""
+    """A table of residuals of model points in the systems of their models; the text shows the largest ones."""
     s = figures.structure
     size = np.linalg.norm(figures.normalised[0], axis=1) / max(figures.sigma0, np.finfo(float).tiny)
     worst = np.argsort(-size, kind="stable")[: of_adjustment.WORST]
@@ -155,11 +152,11 @@ def _model_points(result: ModelAdjustment, figures: Figures) -> Section:
         ReportColumn("t", size, "|v|/(sigma0 sigma)", lambda value: fixed(value, 2)),
     )
     table = ReportTable("model_points", columns, worst)
-    return Section("Model points of the largest residuals, in the systems of their models", (table,))
+    return Section("Model points with the largest residuals, in the systems of their models", (table,))
 
 
 def _strips(result: StripAdjustment, figures: Figures) -> Section:
-    """The strips: their images, models, and how well scale was carried on."""
+    """A table of the strips: images, models, and scatter of the transferred scale."""
     s, names = figures.structure, result.block.structure.image_names
     strips = result.strips
     columns = (
@@ -185,7 +182,7 @@ def _strips(result: StripAdjustment, figures: Figures) -> Section:
 
 
 def _coefficients(result: StripAdjustment, figures: Figures) -> Section:
-    """Coefficients of the polynomials: what a term adds at the end or at the edge of its strip."""
+    """A table of the coefficients of the polynomials: the contribution of each term at the end or edge of its strip."""
     s = figures.structure
     elements = s.cameras[0].model.elements
     rows = [(k, e) for k in range(len(s.image_names)) for e in range(len(elements))]
@@ -203,7 +200,7 @@ def _coefficients(result: StripAdjustment, figures: Figures) -> Section:
 
 
 def _corrected(result: StripAdjustment, figures: Figures) -> Section:
-    """Points of each strip after their correction, and the corrections; a page has the range of these."""
+    """A table of the corrected points of each strip, and the corrections; the text has their maximum."""
     s, photographs = figures.structure, result.block.structure
     strip = np.repeat(np.arange(len(result.corrected)), [len(c.point) for c in result.corrected])
     point = np.concatenate([c.point for c in result.corrected])
@@ -218,7 +215,7 @@ def _corrected(result: StripAdjustment, figures: Figures) -> Section:
     largest = [np.abs(c.corrections).max(0) for c in result.corrected]
     page = (
         name_column("strip", s.image_names),
-        *(of_page(f"largest d{c}", np.array([row[k] for row in largest]), with_digits(3)) for k, c in enumerate("XYZ")),
+        *(of_page(f"maximum d{c}", np.array([row[k] for row in largest]), with_digits(3)) for k, c in enumerate("XYZ")),
     )
     every = np.arange(len(largest))
     title = with_unit("Corrections of the strips by their polynomials", s.object_unit)

@@ -11,19 +11,21 @@ from jaxbundle.block.wording import counted
 from jaxbundle.io.tables import write_table
 from jaxbundle.planning.accuracy import Specification, check_specification, control_of, in_area, summary_of
 from jaxbundle.planning.flight import FlightPlan
-from jaxbundle.planning.predict import Prediction
+from jaxbundle.planning.prediction import Prediction
 from jaxbundle.report.sigma_map import Map, sigma_map
 from jaxbundle.report.text import aligned
-from jaxbundle.statistics.reliability import UNCONTROLLED
+from jaxbundle.statistics.reliability_tables import UNCONTROLLED
 
-CORRELATED = 0.9  # of two interior elements: beyond, their errors hide in each other and bend the block
+CORRELATED = (
+    0.9  # correlation of two interior elements: above this they cannot be separated, and their errors bend the block
+)
 ANGLES = 180 / np.pi
 
 
 def write_plan(
     prediction: Prediction, plan: FlightPlan, specification: Specification | None, folder: str | Path
 ) -> list[str]:
-    """Writes prediction.txt, prediction.json, points.csv, images.csv and maps into a folder; the text, line by line."""
+    """Writes prediction.txt, prediction.json, points.csv, images.csv and maps; returns the lines of the text."""
     place = Path(folder)
     place.mkdir(parents=True, exist_ok=True)
     lines = plan_lines(prediction, plan, specification)
@@ -66,7 +68,7 @@ def plan_lines(prediction: Prediction, plan: FlightPlan, specification: Specific
     lines = [f"Predicted accuracy of {s.name}", "", *_verdict(prediction, plan, specification)]
     lines += ["", *_flight(block, plan)]
     if prediction.undetermined:
-        return [*lines, "", "  There are no standard deviations before this is cured."]
+        return [*lines, "", "  Standard deviations are available only after this problem is solved."]
     lines += ["", *_deviations(prediction, plan)]
     lines += ["", "Reliability (level 0.1 %, power 80 %)", *_reliability(prediction)]
     interior = _interior(prediction)
@@ -96,7 +98,7 @@ def _verdict(prediction: Prediction, plan: FlightPlan, specification: Specificat
         check_specification(prediction, specification, in_area(prediction.block, plan)),
         prediction.block.structure.object_unit,
     )
-    told = "keeps" if check.passed and not found else "does not keep"
+    told = "meets" if check.passed and not found else "does not meet"
     limits = (
         f"X, Y {specification.xy:g} {unit}, Z {specification.z:g} {unit} at {specification.share:.0%} of the points"
     )
@@ -121,7 +123,7 @@ def _flight(block: Block, plan: FlightPlan) -> list[str]:
 def _reliability(prediction: Prediction) -> list[str]:
     found, s = prediction.reliability(), prediction.block.structure
     names = ["rays", *(group.structure.kind.table for group in prediction.block.groups)]
-    rows = [("", "number", "mean r", "smallest r", f"r < {UNCONTROLLED}", "median MDE", "largest MDE")]
+    rows = [("", "number", "mean r", "smallest r", f"r < {UNCONTROLLED}", "median MDE", "maximum MDE")]
     for name, r, mde in zip(names, found.redundancy_numbers, found.minimal_detectable, strict=True):
         known = np.isfinite(r)
         if not known.any():
@@ -133,11 +135,11 @@ def _reliability(prediction: Prediction) -> list[str]:
         low = str(int((r < UNCONTROLLED).sum()))
         rows.append((name, str(len(r)), f"{r.mean():.2f}", f"{r.min():.3f}", low, middle, largest))
     unit = s.cameras[0].image_unit
-    return [*aligned(rows), f"  MDE: smallest error that is found; of rays in {unit}, of control in {s.object_unit}"]
+    return [*aligned(rows), f"  MDE: minimum detectable error; of rays in {unit}, of control in {s.object_unit}"]
 
 
 def _interior(prediction: Prediction) -> list[str]:
-    """Standard deviations of the interior elements, and pairs that cannot be told apart."""
+    """Standard deviations of the interior elements, and pairs that cannot be separated."""
     s = prediction.block.structure
     sd, correlations = np.asarray(prediction.standard_deviations.interior), np.asarray(prediction.interior_correlations)
     rows, told = [("camera", "element", "sigma", "unit")], []
@@ -158,7 +160,7 @@ def _interior(prediction: Prediction) -> list[str]:
 
 
 def plan_dict(prediction: Prediction, plan: FlightPlan, specification: Specification | None) -> dict[str, Any]:
-    """The report for programs; lengths in object units."""
+    """The report as a dictionary for programs; lengths in object units."""
     block = prediction.block
     judged = in_area(block, plan)
     numbers = summary_of(prediction, judged)

@@ -1,7 +1,7 @@
-"""What a report consists of: sections of facts and tables, in the user's names and units, which renderers show.
+"""Types of a report: sections of facts and tables, in the user's names and units, for the renderers.
 
-A section is made once. Text shows the page of each table, CSV files hold all rows, report.json the facts and the rows
-that are results; any other form is one more renderer.
+A section is made once. The text shows the first rows of each table, CSV files contain all rows, and report.json the
+facts and the rows that are results. Each output format is a renderer.
 """
 
 import math
@@ -13,12 +13,12 @@ from typing import Any
 import numpy as np
 from jaxtyping import Int
 
-LARGEST_FIXED = 1e12  # with four decimals already beyond double precision
-NAME, PARAMETER, OWNER = 18, 36, 26  # longer names, of parameters, and of those beside two ends, are shortened
+LARGEST_FIXED = 1e12  # four decimals exceed double precision
+NAME, PARAMETER, OWNER = 18, 36, 26  # longer names, of parameters, and of those with two ends, are shortened
 
 
 class Chapter(Enum):
-    """What a section belongs to; the values are the titles of a page's chapters, in their order."""
+    """The chapter of a section; the values are the titles of the chapters, in their order."""
 
     VERDICT = "Verdict"
     PLAN = "Block"
@@ -36,7 +36,7 @@ class Chapter(Enum):
 
 @dataclass(frozen=True, eq=False)
 class Picked:
-    """Names by index: as a list of names it would take much memory for millions of rays."""
+    """Names by index: a list of names would need much memory for millions of rays."""
 
     names: tuple[str, ...]
     index: Int[np.ndarray, " row"]
@@ -50,11 +50,12 @@ class Picked:
 
 @dataclass(frozen=True, eq=False)
 class ReportColumn:
-    """A column of a table: its name and its values, NaN where nothing is known.
+    """A column of a table: its name and its values, NaN where unknown.
 
-    `head`: the heading on a page, where values stand as `show` tells; None if no page shows the column. `place`:
-    columns of a lower place come first on a page. `deviation_of`: the column whose standard deviations these are.
-    `is_name`: the values name what a row is about. `in_file`, `is_result`: the CSV file or report.json has the column.
+    `head`: the heading in the text, where `show` formats the values; None if the text does not show the column.
+    `place`: columns with a smaller number come first. `deviation_of`: the column to which these standard deviations
+    belong. `is_name`: the values are the names of the rows. `in_file`, `is_result`: whether the CSV file or report.json
+    has the column.
     """
 
     name: str
@@ -70,11 +71,11 @@ class ReportColumn:
 
 @dataclass(frozen=True, eq=False)
 class ReportTable:
-    """Rows of one sort. `name`: that of its file and its key in report.json.
+    """Rows of one type. `name`: name of its file and its key in report.json.
 
-    `page`: the rows that a page shows, and `more`: where the others are. `results`: the rows in report.json, None if
-    the table is not there. `below`: a page has the standard deviations below the values, not beside them. `rows`: all
-    rows in the order of the page, for forms that show more of them; those of the page if None.
+    `page`: the rows that the text shows; `more`: where the others are. `results`: the rows in report.json, None if
+    the table is not in it. `below`: standard deviations are in a line below the values. `rows`: all rows in the order
+    of the text, for formats that show more of them; `page` if None.
     """
 
     name: str
@@ -89,7 +90,7 @@ class ReportTable:
 
 @dataclass(frozen=True)
 class Fact:
-    """A label, what a page says beside it, if it does, and the same as entries of report.json."""
+    """A label, its text, if it has one, and the same as entries of report.json."""
 
     label: str
     text: str
@@ -98,7 +99,7 @@ class Fact:
 
 @dataclass(frozen=True)
 class Facts:
-    """Facts below each other; `indent` is where their text begins."""
+    """Facts in a column; `indent` is the column of their text."""
 
     facts: tuple[Fact, ...]
     indent: int
@@ -106,7 +107,7 @@ class Facts:
 
 @dataclass(frozen=True)
 class Section:
-    """A heading and what stands below it: facts, tables and sentences. Without any of them it is left out."""
+    """A heading with facts, tables and sentences. A section without any of them is left out."""
 
     title: str
     parts: tuple[Facts | ReportTable | str, ...]
@@ -114,19 +115,19 @@ class Section:
 
 
 def fact(label: str, text: str, **entries: Any) -> Fact:
-    """A fact, its entries as keywords."""
+    """A fact with its entries as keywords."""
     return Fact(label, text, entries)
 
 
 def name_column(name: str, values: Sequence[str] | Picked, longest: int = 0) -> ReportColumn:
-    """Names of what the rows are about; on a page they are shortened."""
+    """A column with the names of the rows; the text shortens them."""
     return ReportColumn(name, values, name, lambda v: short(v, longest) if longest else short(v), 0, is_name=True)
 
 
 def measured(
     names: Sequence[str], values: np.ndarray, deviations: np.ndarray, units: Sequence[str], places: Sequence[int]
 ) -> tuple[ReportColumn, ...]:
-    """Columns of values, then of their standard deviations, with so many decimals on a page."""
+    """Columns of values, then of their standard deviations, with a number of decimals in the text."""
     heads = zip(names, values.T, deviations.T, units, places, strict=True)
     columns = [
         (
@@ -143,52 +144,52 @@ def measured(
 def numbers(
     names: Sequence[str], values: np.ndarray, heads: Sequence[str] = (), **more: Any
 ) -> tuple[ReportColumn, ...]:
-    """Columns of numbers that belong together; without heads pages do not show them."""
+    """Columns of numbers that belong together; columns without heads are not in the text."""
     named = zip(names, values.T, heads or [None] * len(names), strict=True)
     return tuple(ReportColumn(name, column, head, **more) for name, column, head in named)
 
 
 def of_page(head: str, values: Sequence[str] | Picked | np.ndarray, show: Callable[[Any], str] = str, place: int = 5):
-    """A column that pages show only."""
+    """A column that only the text shows."""
     return ReportColumn("", values, head, show, place, in_file=False)
 
 
 def with_digits(count: int) -> Callable[[float], str]:
-    """How to show numbers with so many digits."""
+    """A function that formats numbers with the given number of digits."""
     return lambda value: digits(value, count)
 
 
 def first(rows: np.ndarray, limit: int, what: str) -> tuple[np.ndarray, str]:
-    """The first rows, and where the others are if there are more."""
+    """The first rows, and a note about the others if there are more."""
     count = len(rows)
-    return rows[:limit], f"... the first {limit} of {count} {what}; the tables hold all" if count > limit else ""
+    return rows[:limit], f"... the first {limit} of {count} {what}; the tables contain all" if count > limit else ""
 
 
 def short(name: str, longest: int = NAME) -> str:
-    """A name of at most so many characters."""
+    """A name shortened to a maximum number of characters."""
     return name if len(name) <= longest else f"{name[: longest - 10]}...{name[-7:]}"
 
 
 def decimals(deviations: np.ndarray) -> int:
-    """Decimals with which the typical standard deviation has two digits; 4 where there is none."""
+    """Number of decimals for two digits of the typical standard deviation; 4 where there is none."""
     known = deviations[np.isfinite(deviations) & (deviations > 0)]
     return int(np.clip(1 - math.floor(math.log10(np.median(known))), 0, 9)) if len(known) else 4
 
 
 def fixed(value: float, places: int) -> str:
-    """A number with so many decimals; "-" where there is none, and with an exponent where it is absurdly large."""
+    """A number with a number of decimals; "-" for NaN, with an exponent if it is absurdly large."""
     if not math.isfinite(value):
         return "-"
     return f"{value:.{places}f}" if abs(value) < LARGEST_FIXED else f"{value:.6g}"
 
 
 def deviation(value: float, places: int) -> str:
-    """A standard deviation; "held" for 0."""
-    return "held" if value == 0 else fixed(value, places)
+    """A standard deviation as text; "fixed" for 0."""
+    return "fixed" if value == 0 else fixed(value, places)
 
 
 def digits(value: float, count: int) -> str:
-    """A number with so many digits; "-" where there is none."""
+    """A number with a number of digits; "-" for NaN."""
     return f"{value:.{count}g}" if math.isfinite(value) else "-"
 
 

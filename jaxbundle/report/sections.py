@@ -1,4 +1,4 @@
-"""All sections of a report in their order, and those of the verdict, the adjustment and the observations."""
+"""All sections of a report in order, and the sections of the verdict, the adjustment and the observations."""
 
 from collections.abc import Callable
 from functools import partial
@@ -6,7 +6,7 @@ from functools import partial
 import numpy as np
 
 from jaxbundle.block.findings import Finding
-from jaxbundle.block.observations import CONTROL
+from jaxbundle.block.observation_kinds import CONTROL
 from jaxbundle.diagnosis.elements import HIGH_CORRELATION, correlated_parameters
 from jaxbundle.diagnosis.sigmas import global_test
 from jaxbundle.report import unknown_sections
@@ -36,17 +36,17 @@ from jaxbundle.report.section import (
     with_unit,
 )
 from jaxbundle.solve.adjustment import DOWN_WEIGHTED
-from jaxbundle.statistics.reliability import UNCONTROLLED
+from jaxbundle.statistics.reliability_tables import UNCONTROLLED
 from jaxbundle.statistics.subsets import three_groups
 
-WORST, PAIRS = 20, 50  # rays, and correlations that a page of text shows
-MOST_WORST = 500  # rays of the largest residuals that any page shows
+WORST, PAIRS = 20, 50  # numbers of rays and correlations in the text
+MOST_WORST = 500  # maximum number of rays with the largest residuals in any output
 V = ("vx", "vy")
 SMALLEST = np.finfo(float).tiny
 
 
 def sections_of(figures: Figures) -> list[Callable[[], Section]]:
-    """The sections in their order, each as a function that makes it."""
+    """The functions that make the sections, in their order."""
     of = unknown_sections
     unknowns = of.images, of.inner_orientations, of.cameras, of.parameters, of.points
     before = verdict_section, adjustment_section, observations_section, *unknowns
@@ -61,7 +61,7 @@ def group_sections(figures: Figures) -> list[Callable[[], Section]]:
 
 
 def verdict_section(figures: Figures) -> Section:
-    """Whether the result can be used, then problems and suggestions."""
+    """Section with the verdict, then problems and suggestions."""
     adjustment = figures.adjustment
     verdict = fact(
         "",
@@ -75,7 +75,7 @@ def verdict_section(figures: Figures) -> Section:
 
 
 def _entries_of(finding: Finding) -> dict:
-    """A finding for other programs: they need not read its sentences."""
+    """A finding for other programs, which do not need its sentences."""
     return {
         "severity": finding.severity.label,
         "kind": finding.kind.title,
@@ -88,7 +88,7 @@ def _entries_of(finding: Finding) -> dict:
 
 
 def adjustment_section(figures: Figures) -> Section:
-    """Counts, sigma0 and how the adjustment ended."""
+    """Section with counts, sigma0 and the end of the adjustment."""
     adjustment, structure = figures.adjustment, figures.structure
     n, datum = adjustment.iterations, structure.datum
     test = global_test(figures.sigma0, adjustment.redundancy)
@@ -125,7 +125,7 @@ def adjustment_section(figures: Figures) -> Section:
 
 
 def _robust(figures: Figures) -> list[Fact]:
-    """The weight function and the rays that lost more than half of their weight: image, point, weight."""
+    """Facts about the weight function and the rays that lost more than half of their weight: image, point, weight."""
     robust, weights, rays = figures.adjustment.reweighting, figures.weights, figures.down_weighted
     if robust is None or weights is None:
         return []
@@ -154,7 +154,7 @@ def _counts(figures: Figures) -> str:
 
 
 def observations_section(figures: Figures) -> Section:
-    """The groups of observations: number, root mean square of v / sigma, largest one."""
+    """A table of the groups of observations: number, root mean square and maximum of v / sigma."""
     of_control = figures.control_point[figures.structure.ray_point]
     rays = figures.normalised[0]
     what = "image" if figures.structure.model.photographs else "measured"
@@ -168,26 +168,26 @@ def observations_section(figures: Figures) -> Section:
         name_column("group", [name for name, _ in parts], 100),
         of_page("number", np.array([v.size for _, v in parts])),
         of_page("rms v/sigma", np.array([np.sqrt(np.mean(v**2)) for _, v in parts]), with_digits(4)),
-        of_page("largest", np.array([np.abs(v).max() for _, v in parts]), with_digits(4)),
+        of_page("max", np.array([np.abs(v).max() for _, v in parts]), with_digits(4)),
     )
     return Section("Observations", (ReportTable("groups", columns, np.arange(len(parts)), in_file=False),))
 
 
 def _control(figures: Figures) -> Section:
-    """Control coordinates that are fixed, and residuals of those that are observed."""
+    """Section with fixed control coordinates, and residuals of observed ones."""
     observed = [_group_table(figures, table) for table in figures.tables if table.name == CONTROL.name]
     held = unknown_sections.fixed_points(figures)
-    title = with_unit("Control points: adjusted less observed", figures.structure.object_unit)
+    title = with_unit("Control points: adjusted - observed", figures.structure.object_unit)
     return Section(title, (*([held] if held else []), *observed), Chapter.CONTROL)
 
 
 def _group(figures: Figures, observed: GroupTable) -> Section:
-    title = with_unit(f"{observed.title.capitalize()}: computed less observed", observed.units[0])
+    title = with_unit(f"{observed.title.capitalize()}: computed - observed", observed.units[0])
     return Section(title, (_group_table(figures, observed),))
 
 
 def _group_table(figures: Figures, observed: GroupTable) -> ReportTable:
-    """Observations of a kind, their standard deviations a priori, residuals and their reliability."""
+    """A table of observations of one kind, their a-priori standard deviations, residuals and reliability."""
     components, places = observed.components, decimals(observed.sigmas) + 1
     shown = [key for key in observed.who if key != "parameters" or len(components) < 3]
     no_w = np.isnan(observed.w).all()
@@ -215,7 +215,7 @@ def _group_table(figures: Figures, observed: GroupTable) -> ReportTable:
 
 
 def _names_of_rays(figures: Figures, rays: np.ndarray | slice = slice(None)) -> tuple[Picked, Picked]:
-    """The images and the points of rays."""
+    """Columns with the images and the points of rays."""
     structure = figures.structure
     image, point = structure.ray_image[rays], structure.ray_point[rays]
     return Picked(structure.image_names, image), Picked(structure.point_names, point)
@@ -228,7 +228,7 @@ def _units_of_rays(figures: Figures, rays: np.ndarray | slice = slice(None)) -> 
 
 
 def _down_weighted(figures: Figures) -> Section:
-    """Rays that lost more than half of their weight."""
+    """A table of the rays that lost more than half of their weight."""
     rays, weights = figures.down_weighted, figures.weights
     if weights is None:
         return Section("", ())
@@ -243,12 +243,12 @@ def _down_weighted(figures: Figures) -> Section:
     )
     every = np.arange(len(rays))
     table = ReportTable("down_weighted", columns, *first(every, unknown_sections.POINTS, "rays"), rows=every)
-    title = f"Rays of a robust weight below {DOWN_WEIGHTED:g}"
+    title = f"Rays with a robust weight below {DOWN_WEIGHTED:g}"
     return Section(title, (table,) if len(rays) else ("none", table), Chapter.RESIDUALS)
 
 
 def _rays(figures: Figures) -> Section:
-    """All rays; a page has those of the largest residuals."""
+    """A table of all rays; the text shows those with the largest residuals."""
     size, reliability = figures.ray_size, figures.reliability
     count = min(MOST_WORST, len(size))
     worst = np.argpartition(-size, count - 1)[:count] if count else np.zeros(0, int)
@@ -267,11 +267,11 @@ def _rays(figures: Figures) -> Section:
         columns += numbers(("rx", "ry"), reliability.redundancy_numbers[0]) + numbers(("wx", "wy"), reliability.w[0])
     worst = worst[np.argsort(-size[worst], kind="stable")]
     table = ReportTable("rays", tuple(columns), worst[:WORST], rows=worst)
-    return Section(f"Rays of the largest {size_name}", (table,), Chapter.RESIDUALS)
+    return Section(f"Rays with the largest {size_name}", (table,), Chapter.RESIDUALS)
 
 
 def reliability_section(figures: Figures) -> Section:
-    """By group: number, sum, mean and smallest of the redundancy numbers, uncontrolled ones, largest |w| and MDE."""
+    """A table of the redundancy numbers of each group: number, sum, mean, minimum, and maximum |w| and MDE."""
     adjustment, rows, names = figures.adjustment, [], []
     found = figures.reliability[:3] if figures.reliability and not adjustment.undetermined else ()
     for group in three_groups(adjustment.block) if found else ():
@@ -286,10 +286,10 @@ def reliability_section(figures: Figures) -> Section:
         ("observations", "number", "{}"),
         ("redundancy", "sum r", "{:.2f}"),
         ("mean", "mean r", "{:.3f}"),
-        ("smallest", "least r", "{:.3f}"),
+        ("smallest", "min r", "{:.3f}"),
         ("uncontrolled", "r < 0.04", "{}"),
-        ("largest_w", "largest |w|/sigma0", "{:.2f}"),
-        ("largest_mde", "largest MDE", "{:.4g}"),
+        ("largest_w", "max |w|/sigma0", "{:.2f}"),
+        ("largest_mde", "max MDE", "{:.4g}"),
     )
     columns = [
         ReportColumn(name, np.array([row[k] for row in rows]), head, form.format, is_result=True)
@@ -303,7 +303,7 @@ def reliability_section(figures: Figures) -> Section:
 
 
 def _correlations(figures: Figures) -> Section:
-    """Correlations of interior elements, on a page the high ones, and high ones of parameters."""
+    """Correlations of interior elements and high correlations of parameters; the text shows only high ones."""
     elements = [(figures.camera_names[c], f"{a},{b}", r, a, b) for c, a, b, r in figures.correlations()]
     of_parameters = correlated_parameters(figures.adjustment)
     pairs = [*elements, *(("", "", r, a, b) for a, b, r in of_parameters)]
@@ -321,4 +321,4 @@ def _correlations(figures: Figures) -> Section:
     shown = first(high, PAIRS, "pairs")
     table = ReportTable("correlations", columns, *shown, results=np.arange(len(elements)), in_file=False)
     entries = fact("", "", high_parameter_correlations=of_parameters)
-    return Section(f"Correlations over {HIGH_CORRELATION}", (Facts((entries,), 0), table), Chapter.CAMERAS)
+    return Section(f"Correlations above {HIGH_CORRELATION}", (Facts((entries,), 0), table), Chapter.CAMERAS)

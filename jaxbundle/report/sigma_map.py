@@ -1,4 +1,4 @@
-"""A map of predicted standard deviations as SVG: points coloured by their sigma, control, stations, the worst point."""
+"""A map of predicted standard deviations as SVG: coloured points, control, stations, and the worst point."""
 
 from collections.abc import Sequence
 from typing import NamedTuple
@@ -14,13 +14,13 @@ STEPS = 6  # of the legend
 
 
 class Map(NamedTuple):
-    """What a map shows; object coordinates."""
+    """Content of a map, in object coordinates."""
 
     title: str
     unit: str
     points: Float[np.ndarray, "point 2"]
     sigmas: Float[np.ndarray, " point"]
-    """What the colours mean; points whose sigma is not finite are left out."""
+    """Meaning of the colours; points without a finite sigma are left out."""
     control: Bool[np.ndarray, " point"]
     stations: Float[np.ndarray, "image 2"]
     names: Sequence[str]
@@ -32,7 +32,7 @@ def sigma_map(shown: Map) -> str:
     Args:
         shown: points with their standard deviations, control points and stations.
 
-    Returns: SVG; triangles are control points, crosses stations, a ring is the worst point.
+    Returns: SVG; triangles are control points, crosses are stations, the ring is the point with the maximum sigma.
     """
     every = np.concatenate([shown.points, shown.stations])
     low, high = every.min(0), every.max(0)

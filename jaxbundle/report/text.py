@@ -15,13 +15,13 @@ WIDTH = 110
 
 def report_text(adjustment: Adjustment) -> str:
     """The report of a concrete adjustment, ASCII, at most 110 columns."""
-    require_a(Adjustment, adjustment, "report_text")
+    require_a(Adjustment, adjustment, "report.report_text")
     figures = figures_of(adjustment)
     return text_of(figures, [*(section() for section in sections_of(figures)), made_section(figures)])
 
 
 def text_of(figures: Figures, sections: Sequence[Section]) -> str:
-    """The text of sections."""
+    """The report of sections as plain text."""
     structure = figures.structure
     title = f"Adjustment of block {structure.name or '(unnamed)'}"
     lines = [*textwrap.wrap(title, WIDTH), *textwrap.wrap(structure.source, WIDTH)]
@@ -43,7 +43,7 @@ def _lines(part: Facts | ReportTable | str) -> list[str]:
 
 
 def _table(table: ReportTable) -> list[str]:
-    """The page of a table; nothing where it has no rows."""
+    """The lines of a table; none where it has no rows."""
     columns = sorted((c for c in table.columns if c.head is not None), key=lambda column: column.place)
     beside = [c for c in columns if not (table.below and c.deviation_of)]
     rows = [[c.head or "" for c in beside]]
@@ -67,7 +67,7 @@ def aligned(rows: Sequence[Sequence[str]], left: int = 1) -> list[str]:
 
 
 def wrapped(label: str, text: str, indent: int) -> list[str]:
-    """A label and a text beside it, as many lines as it takes."""
+    """A label and its text, wrapped to several lines."""
     return textwrap.wrap(
         text, WIDTH, initial_indent=f"  {label}".ljust(indent), subsequent_indent=" " * indent, break_on_hyphens=False
     )

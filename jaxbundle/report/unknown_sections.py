@@ -1,4 +1,4 @@
-"""Sections of the unknowns: images, cameras, parameters, points, check points, and the fits to fiducials."""
+"""Sections of the unknowns: images, cameras, parameters, points, check points, and fits to fiducials."""
 
 import numpy as np
 
@@ -26,12 +26,12 @@ from jaxbundle.report.section import (
     with_unit,
 )
 
-IMAGES, CAMERAS, POINTS = 200, 50, 50  # that a page shows; the tables hold all
+IMAGES, CAMERAS, POINTS = 200, 50, 50  # rows in the text; the tables contain all
 COORDINATES = ("X", "Y", "Z")
 
 
 def images(figures: Figures) -> Section:
-    """Exterior orientations."""
+    """A table of the exterior orientations."""
     structure, sd = figures.structure, figures.exterior_sd
     units = [structure.object_unit] * 3 + [structure.angle_unit] * 3
     every = np.arange(len(structure.image_names))
@@ -46,7 +46,7 @@ def images(figures: Figures) -> Section:
 
 
 def inner_orientations(figures: Figures) -> Section:
-    """Fits of scanned images to their fiducials; parameters that a transformation does not have are empty."""
+    """A table of the fits of scanned images to their fiducials; parameters of other transformations are empty."""
     fits = figures.structure.inner_orientations
     if not fits:
         return Section("", ())
@@ -86,7 +86,7 @@ def inner_orientations(figures: Figures) -> Section:
 
 
 def cameras(figures: Figures) -> Section:
-    """Interior elements; a page and report.json have those that are estimated."""
+    """A table of the interior elements; the text and report.json have only the estimated ones."""
     structure = figures.structure
     rows = [(c, k) for c, camera in enumerate(structure.cameras) for k in range(len(camera.model.elements))]
     c, k = np.array(rows).T
@@ -105,15 +105,15 @@ def cameras(figures: Figures) -> Section:
     free = np.flatnonzero(structure.interior_free[c, k])
     shown, more = first(np.unique(c[free]), CAMERAS, "cameras")
     table = ReportTable("cameras", columns, free[np.isin(c[free], shown)], more, free, rows=free)
-    nothing = () if len(free) else ("none: all interior elements are held",)
+    nothing = () if len(free) else ("none: all interior elements are fixed",)
     return Section("Cameras: estimated elements", (*nothing, table), Chapter.CAMERAS)
 
 
 def parameters(figures: Figures) -> Section:
-    """Parameters; a page has those that are unknown, and those held at a value. `t` is |value| / sd."""
+    """A table of parameters; the text has unknown ones, and those fixed at other values than 0. `t`: |value| / sd."""
     structure, given = figures.structure, figures.structure.parameters
     free, sd = structure.parameter_free, figures.parameters_sd
-    held = [digits(s, 3) if p.free else "held" for p, s in zip(given, sd, strict=True)]
+    held = [digits(s, 3) if p.free else "fixed" for p, s in zip(given, sd, strict=True)]
     columns = (
         name_column("parameter", [parameter.name for parameter in given], PARAMETER),
         ReportColumn("value", figures.parameters, "value", with_digits(8), is_result=True),
@@ -128,7 +128,7 @@ def parameters(figures: Figures) -> Section:
 
 
 def points(figures: Figures) -> Section:
-    """Object points; a page and report.json have those of which a coordinate is unknown."""
+    """A table of the object points; the text and report.json have only those with an unknown coordinate."""
     structure, unknown, sd = figures.structure, figures.unknown_points, figures.points_sd
     units, places = [structure.object_unit] * 3, [decimals(column[unknown]) for column in sd.T]
     columns = (
@@ -142,7 +142,7 @@ def points(figures: Figures) -> Section:
 
 
 def _precision_of_points(figures: Figures) -> tuple[ReportTable | str, ...]:
-    """Mean and largest standard deviations: what a reader of many points looks for."""
+    """A summary of the standard deviations of many points: mean and maximum."""
     sd, free = figures.points_sd, figures.structure.point_free
     if not np.isfinite(sd).all():
         return ()
@@ -156,7 +156,7 @@ def _precision_of_points(figures: Figures) -> tuple[ReportTable | str, ...]:
 
 
 def check_points(figures: Figures) -> Section:
-    """Adjusted coordinates of check points, and how far they are from the known ones."""
+    """A table of adjusted coordinates of check points, and their differences from the known ones."""
     structure, check, differences = figures.structure, figures.structure.check_point, figures.check_differences
     sd, unit = figures.points_sd[check], figures.structure.object_unit
     places = [decimals(column) for column in sd.T]
@@ -176,11 +176,11 @@ def check_points(figures: Figures) -> Section:
     table = ReportTable("check_points", columns, *shown, results=every, in_file=bool(len(check)), rows=every)
     after = f"root mean square  dX {rms[0]:.3g}  dY {rms[1]:.3g}  dZ {rms[2]:.3g}  {unit}"
     parts = (table, after) if len(check) else (table,)
-    return Section("Check points: adjusted less known", parts, Chapter.CONTROL)
+    return Section("Check points: adjusted - known", parts, Chapter.CONTROL)
 
 
 def fixed_points(figures: Figures) -> Facts | None:
-    """Control points with coordinates that are fixed."""
+    """Facts about control points with fixed coordinates."""
     free, names = figures.structure.point_free, figures.structure.point_names
     rows = np.flatnonzero(~free.all(1))
     axes = np.array(COORDINATES)

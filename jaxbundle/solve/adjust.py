@@ -36,12 +36,12 @@ from jaxbundle.solve.damping import Marquardt, Undamped
 from jaxbundle.solve.free_network import constrained, freed
 from jaxbundle.solve.history import History, history_of
 from jaxbundle.solve.implicit import minimum
+from jaxbundle.solve.initial_state import require_finite_start
 from jaxbundle.solve.levenberg_marquardt import Arguments, BundleSolver, Solved, State
 from jaxbundle.solve.options import Choices, Options, chosen
-from jaxbundle.solve.robust import Solve, adjust_robustly
-from jaxbundle.solve.start import require_finite_start
+from jaxbundle.solve.reweighting import Solve, adjust_robustly
 from jaxbundle.solve.status import status_of
-from jaxbundle.solve.stopping import AbstractStoppingRule
+from jaxbundle.solve.stopping_rules import AbstractStoppingRule
 from jaxbundle.solve.verdict import with_verdict
 
 DAMPINGS = {"levenberg-marquardt": Marquardt, "gauss-newton": Undamped}

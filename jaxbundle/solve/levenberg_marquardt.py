@@ -36,7 +36,7 @@ from jaxbundle.numerics.compilation import Compiled
 from jaxbundle.numerics.host import on_device
 from jaxbundle.solve.damping import AbstractDamping, DampingState
 from jaxbundle.solve.history import History, empty_history, entry
-from jaxbundle.solve.stopping import AbstractStoppingRule, StepTaken
+from jaxbundle.solve.stopping_rules import AbstractStoppingRule, StepTaken
 
 RESULTS = optx.RESULTS
 # inherited from lineax, as whose members a type checker takes them; `promote` would start JAX at import

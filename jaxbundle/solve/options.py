@@ -7,9 +7,9 @@ from typing import Any, TypedDict, get_args
 import equinox as eqx
 
 from jaxbundle.normals.plan.reduced_plan import Method
-from jaxbundle.numerics.precision import require_float64
+from jaxbundle.numerics.float64 import require_float64
 from jaxbundle.solve.implicit import Derivatives
-from jaxbundle.solve.stopping import AbstractStoppingRule, AngleRule
+from jaxbundle.solve.stopping_rules import AbstractStoppingRule, AngleRule
 from jaxbundle.solve.weight_functions import AbstractWeightFunction
 
 METHODS = ("levenberg-marquardt", "gauss-newton")
@@ -62,9 +62,9 @@ class Options(eqx.Module):
     def __check_init__(self) -> None:
         require_float64()
         if not isinstance(self.stop, AbstractStoppingRule):
-            raise TypeError(f"stop takes a stopping rule, such as jb.AngleRule(), not {self.stop!r}")
+            raise TypeError(f"stop takes a stopping rule, such as jb.stopping.AngleRule(), not {self.stop!r}")
         if not isinstance(self.robust, AbstractWeightFunction | None):
-            raise TypeError(f"robust takes a weight function, such as jb.Huber(), not {self.robust!r}")
+            raise TypeError(f"robust takes a weight function, such as jb.robust.Huber(), not {self.robust!r}")
         if self.method not in METHODS or self.engine not in ENGINES:
             raise ValueError(
                 f"no method {self.method!r} with engine {self.engine!r}; there are {list(METHODS)} and {list(ENGINES)}"

@@ -33,7 +33,7 @@ from jaxbundle.block.residuals import Observations
 from jaxbundle.block.unknowns import Unknowns
 from jaxbundle.solve.adjustment import Iterations, Status
 from jaxbundle.solve.history import empty_history
-from jaxbundle.solve.stopping import AbstractStoppingRule, StepTaken
+from jaxbundle.solve.stopping_rules import AbstractStoppingRule, StepTaken
 
 STEPS_A_ROUND = 10
 AT_REST = 1e-12  # of |v|: a round ends where its gradient or its step, in units of v, is that small

@@ -25,14 +25,14 @@ from jaxtyping import Bool, Float
 from jaxbundle.block.block import Block
 from jaxbundle.block.datum import with_datum
 from jaxbundle.block.given import require_a
-from jaxbundle.block.observations import ObservationGroup
+from jaxbundle.block.observation_kinds import ObservationGroup
 from jaxbundle.block.validate import require_valid
 from jaxbundle.numerics.host import on_device
 from jaxbundle.solve.adjust import adjust
 from jaxbundle.solve.adjustment import Adjustment, Status
 from jaxbundle.solve.options import Choices, Options, chosen
 from jaxbundle.statistics import dense
-from jaxbundle.statistics.reliability import redundancy_numbers
+from jaxbundle.statistics.reliability_tables import redundancy_numbers
 from jaxbundle.statistics.subsets import Subset, all_observations, require_whole_members, three_groups
 
 Form = Literal["redundancy", "helmert"]
@@ -144,7 +144,7 @@ def variance_components(
     Raises: BlockError as `adjust`; ValueError for overlapping or inseparable groups, for a robust adjustment, where an
     adjustment fails, and for the form "helmert" of a large block.
     """
-    require_a(Block, block, "variance_components")
+    require_a(Block, block, "statistics.variance_components")
     if form not in ("redundancy", "helmert"):
         raise ValueError(f'no form {form!r}; there are "redundancy" and "helmert"')
     wanted = chosen(options, choices, "variance_components")

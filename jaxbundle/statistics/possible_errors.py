@@ -8,7 +8,7 @@ from jaxtyping import Bool, Float, Int
 
 from jaxbundle.block.block import Block
 from jaxbundle.block.findings import Subject
-from jaxbundle.block.observations import ObservationGroup
+from jaxbundle.block.observation_kinds import ObservationGroup
 from jaxbundle.numerics.host import on_device
 from jaxbundle.statistics.error_columns import FIXED, ErrorColumn
 from jaxbundle.statistics.hypotheses import (

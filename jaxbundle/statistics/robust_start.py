@@ -17,7 +17,7 @@ import numpy as np
 from jaxtyping import Float
 
 from jaxbundle.block.block import Block
-from jaxbundle.block.observations import ObservationGroup
+from jaxbundle.block.observation_kinds import ObservationGroup
 from jaxbundle.numerics.host import on_device
 from jaxbundle.solve.adjustment import Adjustment
 from jaxbundle.solve.attempt import attempt

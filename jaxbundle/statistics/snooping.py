@@ -16,7 +16,7 @@ from jaxbundle.solve.adjust import adjust
 from jaxbundle.solve.adjustment import Adjustment
 from jaxbundle.statistics.error_columns import FIXED
 from jaxbundle.statistics.hypotheses import Cause
-from jaxbundle.statistics.reliability import redundancy_numbers
+from jaxbundle.statistics.reliability_tables import redundancy_numbers
 from jaxbundle.statistics.suspects import LEVEL, find_suspects
 
 SINGLE = (Cause.VALUE, Cause.NAMES, Cause.AXES)

@@ -13,7 +13,7 @@ from jaxtyping import Bool
 
 from jaxbundle.block.block import Block
 from jaxbundle.block.given import require_a
-from jaxbundle.block.observations import ObservationGroup
+from jaxbundle.block.observation_kinds import ObservationGroup
 
 Mask = Bool[np.ndarray, "_member _component"]
 XY = ("X", "Y")
@@ -58,13 +58,13 @@ def image_coordinates(block: Block) -> Subset:
 
 def control_rays(block: Block) -> Subset:
     """Group I of the text 001: image coordinates of control points, those with a held or an observed coordinate."""
-    require_a(Block, block, "control_rays")
+    require_a(Block, block, "statistics.control_rays")
     return _rays(block, "rays of control points", is_control_point(block)[block.structure.ray_point])
 
 
 def tie_rays(block: Block) -> Subset:
     """Group II of the text 001: image coordinates of all other points."""
-    require_a(Block, block, "tie_rays")
+    require_a(Block, block, "statistics.tie_rays")
     return _rays(block, "rays of tie points", ~is_control_point(block)[block.structure.ray_point])
 
 
@@ -73,7 +73,7 @@ def camera_rays(block: Block, camera: str) -> Subset:
 
     Raises: ValueError for an unknown name, as all that take names.
     """
-    require_a(Block, block, "camera_rays")
+    require_a(Block, block, "statistics.camera_rays")
     names = tuple(camera.name for camera in block.structure.cameras)
     (number,) = _numbers("camera", names, [camera])
     return _rays(block, f"rays of camera {camera}", block.structure.image_camera[block.structure.ray_image] == number)
@@ -81,7 +81,7 @@ def camera_rays(block: Block, camera: str) -> Subset:
 
 def image_rays(block: Block, images: Collection[str], name: str) -> Subset:
     """Image coordinates measured on some images, as those of a strip; `name` is the strip's."""
-    require_a(Block, block, "image_rays")
+    require_a(Block, block, "statistics.image_rays")
     numbers = _numbers("image", block.structure.image_names, images)
     return _rays(block, name, np.isin(block.structure.ray_image, numbers))
 
@@ -93,7 +93,7 @@ def observations_of_kind(block: Block, kind: str, components: Collection[str] | 
 
     Raises: ValueError for a kind or a component that the block does not have.
     """
-    require_a(Block, block, "observations_of_kind")
+    require_a(Block, block, "statistics.observations_of_kind")
     kinds: dict[str, dict[str, None]] = {}  # cameras of different models have different elements in "interior"
     for group in block.groups:
         kinds.setdefault(group.structure.kind.name, {}).update(dict.fromkeys(group.structure.kind.components))
@@ -113,7 +113,7 @@ def observations_of_kind(block: Block, kind: str, components: Collection[str] | 
 
 def control_point(block: Block, point: str) -> Subset:
     """The observed coordinates of one control point."""
-    require_a(Block, block, "control_point")
+    require_a(Block, block, "statistics.control_point")
     (number,) = _numbers("point", block.structure.point_names, [point])
 
     def chosen(group: ObservationGroup) -> Mask:
@@ -133,13 +133,13 @@ def observed_points(block: Block) -> tuple[str, ...]:
 
 def all_control(block: Block) -> Subset:
     """Group III of the text 001: everything observed that is no image coordinate."""
-    require_a(Block, block, "all_control")
+    require_a(Block, block, "statistics.all_control")
     return _members(block, "all control", lambda group: group.structure.observed)
 
 
 def three_groups(block: Block) -> tuple[Subset, ...]:
     """Groups I and II of the text 001 and, in place of group III, one subset a kind of observation."""
-    require_a(Block, block, "three_groups")
+    require_a(Block, block, "statistics.three_groups")
     kinds = dict.fromkeys(group.structure.kind.name for group in block.groups)
     subsets = control_rays(block), tie_rays(block), *(observations_of_kind(block, kind) for kind in kinds)
     return tuple(subset for subset in subsets if subset.count)

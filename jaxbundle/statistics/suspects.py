@@ -22,7 +22,7 @@ from jaxbundle.solve.attempt import attempt
 from jaxbundle.statistics.error_columns import FIXED, MOST_DENSE, ErrorColumn, ErrorTests, error_tests
 from jaxbundle.statistics.hypotheses import Cause, Hypotheses, Hypothesis
 from jaxbundle.statistics.possible_errors import computed_values, possible_errors
-from jaxbundle.statistics.reliability import POWER, critical_w, level_of_one, redundancy_numbers
+from jaxbundle.statistics.reliability_tables import POWER, critical_w, level_of_one, redundancy_numbers
 from jaxbundle.statistics.robust_start import robust_point, with_unknowns_of
 from jaxbundle.statistics.selection import CONTROLLED, Selection
 

@@ -32,7 +32,7 @@ def main() -> int:
     parser.add_argument("--looped", type=int, default=50, help="draws adjusted one by one")
     options = parser.parse_args()
     simulation = jb.simulate(options.strips, options.images, points_per_image=options.points)
-    block, truth = jb.with_datum(simulation.block), simulation.truth
+    block, truth = jb.blocks.with_datum(simulation.block), simulation.truth
     rng = np.random.default_rng(0)
     exact, sigmas = np.asarray(truth.rays.coordinates), np.asarray(truth.rays.sigmas)
     draws = exact + sigmas * rng.standard_normal((options.draws, *exact.shape))

@@ -16,8 +16,8 @@ from cases.schematic_flights import UNIT  # noqa: E402
 
 from jaxbundle.cli import runtime  # noqa: E402
 from jaxbundle.planning.flight import ControlSet, schematic  # noqa: E402
-from jaxbundle.planning.predict import predict  # noqa: E402
-from jaxbundle.planning.simulate import simulate_flight  # noqa: E402
+from jaxbundle.planning.prediction import predict  # noqa: E402
+from jaxbundle.planning.simulation import simulate_flight  # noqa: E402
 
 BASES = {0.6: (12, 18, 26), 0.8: (24, 36, 52)}  # the first one is the strip's
 STRIPS = (2, 4, 6)

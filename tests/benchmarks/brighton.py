@@ -112,7 +112,7 @@ def main() -> None:
             check_start=False,
         )
         began = time.perf_counter()
-        result = jb.adjust(block, robust=jb.Huber())
+        result = jb.adjust(block, robust=jb.robust.Huber())
         v = np.asarray(result.residuals[0])
         print(
             f"weights {weights}: {block}\n  {time.perf_counter() - began:.0f} s, {result.status},"

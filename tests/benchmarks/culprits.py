@@ -25,7 +25,7 @@ runtime.start()
 from cases.gross_errors import BLOCKS, KINDS, Simulated, drawn_outcome  # noqa: E402
 from scipy.special import ndtr, ndtri  # noqa: E402
 
-from jaxbundle.statistics.reliability import POWER  # noqa: E402
+from jaxbundle.statistics.reliability_tables import POWER  # noqa: E402
 from jaxbundle.statistics.suspects import find_suspects  # noqa: E402
 
 MULTIPLES = (1.0, 2.0, 4.0, 30.0, 1000.0)

@@ -40,7 +40,7 @@ def main() -> int:
     with tempfile.TemporaryDirectory() as folder:
         file = Path(folder) / "block.txt"
         write_block(file, *SIZES[size])
-        block = jb.with_datum(jb.read_bal(file))
+        block = jb.blocks.with_datum(jb.io.read_bal(file))
     steps = []
     result = jb.adjust(block, precision=False, progress=lambda _: steps.append(time.perf_counter()))
     iteration = statistics.median(np.diff(steps))

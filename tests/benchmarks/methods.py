@@ -29,9 +29,9 @@ def adjusted(method: str, block: jb.Block, first: bool) -> tuple[np.ndarray, np.
         sd = np.asarray(found.standard_deviations.object_points) / float(found.sigma0)
         return every, np.asarray(found.block.object_points), sd, float(found.sigma0)
     if method.startswith("models"):
-        result = jb.adjust_models(block, estimate_shared_errors="shared" in method)
+        result = jb.independent.adjust_models(block, estimate_shared_errors="shared" in method)
     else:
-        result = jb.adjust_strips(block, form="conformal" if "conformal" in method else "separate")
+        result = jb.independent.adjust_strips(block, form="conformal" if "conformal" in method else "separate")
     deviations = None
     if first:
         precision = result.propagated()

@@ -18,7 +18,7 @@ jax.config.update("jax_enable_x64", True)
 
 from cases.simulated_blocks import CAMERA  # noqa: E402
 
-from jaxbundle.planning.simulate import simulate  # noqa: E402
+from jaxbundle.planning.simulation import simulate  # noqa: E402
 from jaxbundle.report.figures import figures_of  # noqa: E402
 from jaxbundle.report.html.page import html_of  # noqa: E402
 from jaxbundle.report.made import made_section  # noqa: E402

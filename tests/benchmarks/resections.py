@@ -68,8 +68,8 @@ def main() -> int:
     parser.add_argument("--points", type=int, default=6)
     options = parser.parse_args()
     points, measured = scene(options.images, options.points)
-    model, interior = jb.CAMERA_MODELS["none"], np.array([PRINCIPAL_DISTANCE, 0.0, 0.0, 1.0, 1.0])
-    program = jax.jit(jax.vmap(lambda x, xy: jb.resection(model, interior, x, xy)))
+    model, interior = jb.cameras.CAMERA_MODELS["none"], np.array([PRINCIPAL_DISTANCE, 0.0, 0.0, 1.0, 1.0])
+    program = jax.jit(jax.vmap(lambda x, xy: jb.orientation.resection(model, interior, x, xy)))
     start = time.perf_counter()
     found = jax.block_until_ready(program(points, measured))
     first = time.perf_counter() - start

@@ -29,7 +29,7 @@ import jaxbundle as jb  # noqa: E402
 SAME = 1e-6  # relative difference of two sums of squares at one minimum; another minimum differs by percents
 
 
-def ends_at_the_minimum(found: jb.Approximation, truth: Bare) -> bool:
+def ends_at_the_minimum(found: jb.orientation.Approximation, truth: Bare) -> bool:
     """Whether the bundle from the start ends where it ends from the truth."""
     s, block = found.block.structure, found.block
     rays = ~truth.wrong & ~found.suspect_rays

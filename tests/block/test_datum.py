@@ -14,7 +14,7 @@ from jaxbundle.block.datum import with_datum
 from jaxbundle.block.datum_defect import datum_defect
 from jaxbundle.block.geodetic import DISTANCES, geodetic_kind
 from jaxbundle.block.navigation import GNSS
-from jaxbundle.block.observations import CONTROL, STATIONS, ObservationGroup, observation_group
+from jaxbundle.block.observation_kinds import CONTROL, STATIONS, ObservationGroup, observation_group
 from jaxbundle.block.problems import BlockError
 from jaxbundle.solve.adjust import adjust
 

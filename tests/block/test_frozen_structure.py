@@ -6,7 +6,7 @@ import numpy as np
 import pytest
 from cases.simulated_blocks import small_block
 
-from jaxbundle.block.observations import CONTROL, GroupStructure
+from jaxbundle.block.observation_kinds import CONTROL, GroupStructure
 
 BLOCK = small_block().block
 

@@ -15,7 +15,7 @@ import jaxbundle as jb
 from jaxbundle.block.consistency import inconsistencies
 from jaxbundle.block.findings import Kind
 from jaxbundle.block.magnitudes import repeated_rows
-from jaxbundle.block.observations import ObservationKind
+from jaxbundle.block.observation_kinds import ObservationKind
 from jaxbundle.camera.forward import BAL
 
 
@@ -28,7 +28,7 @@ def refused(block) -> list[str]:
     """What `adjust` says of a block, a line a problem; nothing is solved."""
     with pytest.raises(jb.BlockError) as caught:
         jb.adjust(block)
-    assert caught.value.problems == tuple(jb.validate(block))
+    assert caught.value.problems == tuple(jb.blocks.validate(block))
     return [problem.what for problem in caught.value.problems]
 
 
@@ -64,8 +64,8 @@ STRUCTURES = {
     "the points are of type list": lambda s: {"point_names": list(s.point_names)},
     "there are no cameras": lambda s: {"cameras": ()},
     "the cameras are of type tuple": lambda s: {"cameras": ("camera",)},
-    "the kind of datum is 'none'": lambda s: {"datum": jb.Datum("none")},
-    "the datum names image 'x'": lambda s: {"datum": jb.Datum("fixed", (("x", "X0"),))},
+    "the kind of datum is 'none'": lambda s: {"datum": jb.blocks.Datum("none")},
+    "the datum names image 'x'": lambda s: {"datum": jb.blocks.Datum("fixed", (("x", "X0"),))},
 }
 VALUES = {
     "object_points has the shape": (lambda b: b.object_points, jnp.zeros((3, 3))),
@@ -112,13 +112,13 @@ GROUPS = {
 def test_groups(block, words):
     indices, columns = GROUPS[words]()
     ones = np.ones((2, columns))
-    group = jb.observation_group(jb.DISTANCES, np.array(indices), ones, ones)
+    group = jb.observations.observation_group(jb.observations.DISTANCES, np.array(indices), ones, ones)
     found = refused(dataclasses.replace(block, groups=(*block.groups, group)))
     assert any(words in what for what in found), found
 
 
 def test_numbers_that_are_none(block):
-    parameter = changed(block, parameters=(jb.Parameter("shift"),))
+    parameter = changed(block, parameters=(jb.blocks.Parameter("shift"),))
     assert refused(put(parameter, lambda b: b.parameters, jnp.array([jnp.nan]))) == [
         "parameter shift is not a finite number"
     ]
@@ -142,14 +142,16 @@ ABSURD = {
 def test_absurd_numbers(block, words):
     where, index, value = ABSURD[words]
     table, what = words.replace("3600 deg", "3601.8 deg").split(": ")
-    (problem,) = jb.validate(put(block, where, where(block).at[index].set(value)))
+    (problem,) = jb.blocks.validate(put(block, where, where(block).at[index].set(value)))
     assert problem.table == table and problem.row == index[0] and problem.what.startswith(what)
 
 
 def distances(block, kind, indices, values):
     """The block with geodetic observations between points."""
     values = np.array(values, float)[:, None]
-    group = jb.observation_group(jb.geodetic_kind(kind), np.array(indices), values, np.full(values.shape, 0.01))
+    group = jb.observations.observation_group(
+        jb.observations.geodetic_kind(kind), np.array(indices), values, np.full(values.shape, 0.01)
+    )
     return dataclasses.replace(block, groups=(*block.groups, group))
 
 
@@ -159,14 +161,14 @@ def test_lines_of_no_length(block, kind):
     x = np.array(block.object_points)
     x[7] = x[3] if kind == "distances" else x[3] + [0, 0, 5]
     same = distances(put(block, lambda b: b.object_points, jnp.asarray(x)), kind, [[1, 2], [3, 7], [7, 3]], [1, 1, 1])
-    (problem,) = jb.validate(same)
+    (problem,) = jb.blocks.validate(same)
     names = block.structure.point_names
     assert problem.what.startswith(f"{names[3]} and {names[7]} have the same approximate")
     assert problem.what.endswith("and of 1 more rows") and (problem.table, problem.row) == (kind, 1)
 
 
 def test_azimuths_of_many_turns(block):
-    (problem,) = jb.validate(distances(block, "azimuths", [[1, 2]], [3_600_000_090 * np.pi / 180]))
+    (problem,) = jb.blocks.validate(distances(block, "azimuths", [[1, 2]], [3_600_000_090 * np.pi / 180]))
     assert problem.what == "the angle 3600000090 deg makes more than 10 full turns"
 
 
@@ -174,7 +176,7 @@ def test_repeated_rows_are_told_and_adjusted(block):
     twice = distances(block, "distances", [[1, 2], [3, 4], [1, 2], [1, 2]], [5, 6, 5, 5])
     (found,) = repeated_rows(twice)
     assert found.kind is Kind.INFORMATION and found.size == 2 and "2 rows of distances repeat" in found.what
-    assert not [p for p in jb.validate(twice) if p.table == "distances"]
+    assert not [p for p in jb.blocks.validate(twice) if p.table == "distances"]
 
 
 def test_all_is_told_at_once(block):
@@ -244,7 +246,7 @@ def test_a_traced_block_is_looked_at_too(block):
 def with_model(block, function, elements=BAL.elements):
     """The block with a camera model of the user's."""
     (camera,) = block.structure.cameras
-    camera = dataclasses.replace(camera, model=jb.CameraModel("mine", elements, function))
+    camera = dataclasses.replace(camera, model=jb.cameras.CameraModel("mine", elements, function))
     free = np.zeros((1, len(elements)), bool)
     block = changed(block, cameras=(camera,), interior_free=free)
     return put(block, lambda b: b.interior.elements, jnp.ones((1, len(elements))))
@@ -294,14 +296,14 @@ KINDS = {
 def test_kinds(block, words):
     residual = KINDS[words] if words != "fails with TypeError" else lambda p: (p[0],)
     kind = ObservationKind("heights", ("height",), ("point",), residual)
-    group = jb.observation_group(kind, np.array([[1]]), np.ones((1, 1)), np.ones((1, 1)))
+    group = jb.observations.observation_group(kind, np.array([[1]]), np.ones((1, 1)), np.ones((1, 1)))
     (found,) = refused(dataclasses.replace(block, groups=(*block.groups, group)))
     assert found.startswith("the residual of observations of kind 'heights' ") and words in found
 
 
 def test_an_unknown_entity(block):
     kind = ObservationKind("heights", ("height",), ("points",), lambda p, o: (p[0],))
-    group = jb.observation_group(kind, np.array([[1]]), np.ones((1, 1)), np.ones((1, 1)))
+    group = jb.observations.observation_group(kind, np.array([[1]]), np.ones((1, 1)), np.ones((1, 1)))
     assert refused(dataclasses.replace(block, groups=(*block.groups, group))) == [
         "observations of kind heights touch 'points'"
     ]
@@ -325,9 +327,9 @@ def test_a_large_block_is_looked_at_quickly(block):
         lambda b: (b.exterior, b.object_points, b.rays),
         large,
         (
-            jb.ExteriorOrientation(jnp.zeros((images, 3)), jnp.zeros((images, 3))),
+            jb.blocks.ExteriorOrientation(jnp.zeros((images, 3)), jnp.zeros((images, 3))),
             np.zeros((points, 3)),
-            jb.Rays(jnp.zeros((rays, 2)), jnp.ones((rays, 2))),
+            jb.blocks.Rays(jnp.zeros((rays, 2)), jnp.ones((rays, 2))),
         ),
     )
     start = time.process_time()

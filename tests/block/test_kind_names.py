@@ -13,7 +13,7 @@ import jaxbundle.block
 from jaxbundle.block.block import Block
 from jaxbundle.block.geodetic import _BETWEEN, geodetic_kind
 from jaxbundle.block.navigation import ATTITUDES, GNSS
-from jaxbundle.block.observations import CONTROL, STATIONS, ObservationKind, interior_priors, observation_group
+from jaxbundle.block.observation_kinds import CONTROL, STATIONS, ObservationKind, interior_priors, observation_group
 from jaxbundle.statistics.subsets import observations_of_kind
 
 

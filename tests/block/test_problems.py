@@ -1,8 +1,7 @@
 """Problems as they are shown: nothing that a terminal would obey, nothing without end."""
 
 import pytest
-from hypothesis import given, settings
-from hypothesis import strategies as st
+from hypothesis import given, settings, strategies as st
 
 from jaxbundle.block.problems import LONGEST, SHOWN, BlockError, Problem, is_hidden, printable, shown
 

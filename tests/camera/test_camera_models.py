@@ -13,11 +13,11 @@ from cases.camera_definitions import INTERIORS, MEASURED, PHOTO_VECTOR, computed
 from jaxbundle.block.block import Block, Camera, Structure
 from jaxbundle.camera.additional_parameters import EBNER, GRUEN, orthogonal_corrections, polynomials
 from jaxbundle.camera.brown import BROWN, DISTORTION_FREE
+from jaxbundle.camera.camera_models import CAMERA_MODELS
 from jaxbundle.camera.forward import BAL, BROWN_FORWARD
 from jaxbundle.camera.model import HELD, mixture
-from jaxbundle.camera.registry import CAMERA_MODELS
 from jaxbundle.planning.flight import AerialCamera
-from jaxbundle.planning.simulate import exact_coordinates, simulate
+from jaxbundle.planning.simulation import exact_coordinates, simulate
 from jaxbundle.solve.adjust import adjust
 from jaxbundle.solve.adjustment import Status
 

@@ -9,8 +9,8 @@ from cases.small_folder import change, make_small_folder
 
 from jaxbundle.block.problems import BlockError
 from jaxbundle.camera.brown import DISTORTION_FREE
+from jaxbundle.camera.camera_models import CAMERA_MODELS, named_model
 from jaxbundle.camera.corrections import EARTH_RADIUS, curvature_coefficient, refraction_coefficient, with_corrections
-from jaxbundle.camera.registry import CAMERA_MODELS, named_model
 from jaxbundle.io import read_block_folder, write_block_folder
 
 C = 153.0
@@ -166,14 +166,14 @@ HEIGHTS = "give both heights in m above sea level"
         ),
         (
             "{ flying_height = 2500.0, ground_height = 0.0 }",
-            "corrections are neither refraction nor earth_curvature; say which = true, or drop them",
+            "corrections are neither refraction nor earth_curvature; set one of them to true, or drop the section",
         ),
         ("{ refraction = 24.5 }", "refraction is 24.5; give true, false or a coefficient from 0 to 0.001"),
         ('{ earth_curvature = "yes" }', "earth_curvature is 'yes'; give true, false or a coefficient from 0 to 0.01"),
         ("{ refraction = -1e-5 }", "refraction is -1e-05; give true, false or a coefficient from 0 to 0.001"),
         (
             "{ height = 2500.0, refraction = 1e-5 }",
-            "height is unknown; known here: flying_height, ground_height, refraction, earth_curvature",
+            "height is unknown; known keys: flying_height, ground_height, refraction, earth_curvature",
         ),
         (
             '{ flying_height = "high", refraction = 1e-5 }',

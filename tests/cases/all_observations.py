@@ -12,12 +12,12 @@ from jaxbundle.block.block import Block, Parameter
 from jaxbundle.block.datum import with_datum
 from jaxbundle.block.geodetic import LINES, PLANES, geodetic_kind
 from jaxbundle.block.navigation import ATTITUDES, GNSS
-from jaxbundle.block.observations import CONTROL, PARAMETERS, ObservationKind, interior_priors, observation_group
+from jaxbundle.block.observation_kinds import CONTROL, PARAMETERS, ObservationKind, interior_priors, observation_group
 from jaxbundle.block.residuals import group_arrays, group_residuals
 from jaxbundle.block.unknowns import unknowns_of
 from jaxbundle.planning.flight import AerialCamera
-from jaxbundle.planning.monte_carlo import drawn
-from jaxbundle.planning.simulate import simulate
+from jaxbundle.planning.monte_carlo_runs import drawn
+from jaxbundle.planning.simulation import simulate
 
 __all__ = ["CASES", "PAIRS", "case", "drawn", "in_batches", "observed", "strip", "tie_points", "with_parameters"]
 

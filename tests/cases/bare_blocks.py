@@ -114,7 +114,7 @@ def block_of(image: np.ndarray, point: np.ndarray, measured: np.ndarray, images:
     count = int(point.max()) + 1
     structure = Structure(
         name="bare",
-        cameras=(Camera("camera", jb.CAMERA_MODELS["none"], "px", int(2 * HALF), int(2 * HALF)),),
+        cameras=(Camera("camera", jb.cameras.CAMERA_MODELS["none"], "px", int(2 * HALF), int(2 * HALF)),),
         image_names=tuple(f"i{k}" for k in range(images)),
         point_names=tuple(f"p{k}" for k in range(count)),
         image_camera=np.zeros(images, np.int32),

@@ -8,7 +8,7 @@ import numpy as np
 
 from jaxbundle.block.block import Block
 from jaxbundle.block.geodetic import DISTANCES
-from jaxbundle.block.observations import observation_group
+from jaxbundle.block.observation_kinds import observation_group
 from jaxbundle.camera.brown import BROWN, DISTORTION_FREE
 
 

@@ -8,7 +8,7 @@ import scipy.linalg
 
 from jaxbundle.block.block import Block
 from jaxbundle.block.navigation import GNSS
-from jaxbundle.block.observations import STATIONS
+from jaxbundle.block.observation_kinds import STATIONS
 
 FIXED = 1e12  # weight of a fixed coordinate
 

@@ -12,7 +12,7 @@ from jaxbundle.normals.plan.elimination_plan import plan_elimination
 from jaxbundle.normals.plan.reduced_plan import Method
 from jaxbundle.solve.damping import Undamped
 from jaxbundle.solve.levenberg_marquardt import Arguments, BundleSolver, run
-from jaxbundle.solve.stopping import AngleRule
+from jaxbundle.solve.stopping_rules import AngleRule
 
 DAMPINGS = (1e-12, 1e-8, 1e-4, 1e-2, 1.0, 1e3, 1e6)
 

@@ -5,7 +5,7 @@ import dataclasses
 import numpy as np
 
 from jaxbundle.block.block import Block, Datum
-from jaxbundle.planning.simulate import simulate
+from jaxbundle.planning.simulation import simulate
 
 
 def free_network(strips: int = 1) -> Block:

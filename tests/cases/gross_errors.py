@@ -9,8 +9,16 @@ import jax.numpy as jnp
 import numpy as np
 from cases.all_observations import observed
 
-from jaxbundle.block.block import Block, Camera, CheckPoints, Datum, ExteriorOrientation, InteriorOrientation, Rays
-from jaxbundle.block.block import Structure as BlockStructure
+from jaxbundle.block.block import (
+    Block,
+    Camera,
+    CheckPoints,
+    Datum,
+    ExteriorOrientation,
+    InteriorOrientation,
+    Rays,
+    Structure as BlockStructure,
+)
 from jaxbundle.block.findings import Subject
 from jaxbundle.block.geodetic import DISTANCES
 from jaxbundle.camera.brown import DISTORTION_FREE
@@ -18,13 +26,13 @@ from jaxbundle.diagnosis.after_failure import causes
 from jaxbundle.geometry.rotation import OMEGA_PHI_KAPPA
 from jaxbundle.numerics.host import on_device
 from jaxbundle.planning.flight import AerialCamera
-from jaxbundle.planning.simulate import exact_coordinates, simulate
+from jaxbundle.planning.simulation import exact_coordinates, simulate
 from jaxbundle.solve.adjust import adjust
 from jaxbundle.solve.adjustment import Adjustment, Status
 from jaxbundle.solve.verdict import BEYOND_USE
 from jaxbundle.statistics.error_columns import FIXED, ErrorColumn, error_tests
 from jaxbundle.statistics.possible_errors import computed_values, possible_errors
-from jaxbundle.statistics.reliability import POWER, level_of_one, non_centrality, reliability
+from jaxbundle.statistics.reliability_tables import POWER, level_of_one, non_centrality, reliability
 from jaxbundle.statistics.suspects import find_suspects, with_errors_removed
 
 PIXELS = AerialCamera(120.0, 104.0, 68.0, pixel_size=0.012)

@@ -7,7 +7,7 @@ import jax.numpy as jnp
 import numpy as np
 
 import jaxbundle as jb
-from jaxbundle.planning.simulate import exact_coordinates
+from jaxbundle.planning.simulation import exact_coordinates
 
 FORMAT, DISTANCE, SIGMA = 230.0, 153.0, 0.01  # mm: wide angle
 BASE, STRIP = 0.4 * FORMAT, 0.8 * FORMAT  # of the photographs: 60 % and 20 % overlap
@@ -26,9 +26,9 @@ def gruber_block(strips: int, models: int) -> jb.Block:
     near = np.abs(column[None] - k[:, None]) <= 1
     near &= np.abs(row[None] - 2 * s[:, None] - 1) <= 1
     image, point = np.nonzero(near)
-    structure = jb.Structure(
+    structure = jb.blocks.Structure(
         name=f"{strips} strips of {models} models",
-        cameras=(jb.Camera("camera", jb.CAMERA_MODELS["none"], "mm"),),
+        cameras=(jb.blocks.Camera("camera", jb.cameras.CAMERA_MODELS["none"], "mm"),),
         image_names=tuple(f"{a + 1}_{b + 1:02d}" for a, b in zip(s, k, strict=True)),
         point_names=tuple(f"{a}/{b}" for a, b in zip(column, row, strict=True)),
         image_camera=np.zeros(len(k), np.int32),
@@ -38,16 +38,16 @@ def gruber_block(strips: int, models: int) -> jb.Block:
         interior_free=np.zeros((1, 5), bool),
         point_free=np.ones((len(points), 3), bool),
         check_point=np.zeros(0, np.int32),
-        datum=jb.Datum("control"),
+        datum=jb.blocks.Datum("control"),
     )
     block = jb.Block(
         structure,
-        jb.ExteriorOrientation(jnp.asarray(centres), jnp.zeros(centres.shape)),
-        jb.InteriorOrientation(jnp.array([[DISTANCE, 0.0, 0.0, 1.0, 1.0]])),
+        jb.blocks.ExteriorOrientation(jnp.asarray(centres), jnp.zeros(centres.shape)),
+        jb.blocks.InteriorOrientation(jnp.array([[DISTANCE, 0.0, 0.0, 1.0, 1.0]])),
         jnp.asarray(points),
-        jb.Rays(jnp.zeros((len(image), 2)), jnp.full((len(image), 2), SIGMA)),
+        jb.blocks.Rays(jnp.zeros((len(image), 2)), jnp.full((len(image), 2), SIGMA)),
         (),
-        jb.CheckPoints(jnp.zeros((0, 3)), jnp.zeros((0, 3))),
+        jb.blocks.CheckPoints(jnp.zeros((0, 3)), jnp.zeros((0, 3))),
     )
     return eqx.tree_at(lambda b: b.rays.coordinates, block, jnp.asarray(exact_coordinates(block)[0]))
 

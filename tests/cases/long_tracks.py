@@ -5,9 +5,9 @@ import jax.numpy as jnp
 import numpy as np
 
 from jaxbundle.block.block import Block, CheckPoints, ExteriorOrientation, InteriorOrientation, Rays, Structure
-from jaxbundle.block.observations import CONTROL, STATIONS, observation_group
+from jaxbundle.block.observation_kinds import CONTROL, STATIONS, observation_group
 from jaxbundle.planning.flight import AerialCamera
-from jaxbundle.planning.simulate import exact_coordinates, simulate
+from jaxbundle.planning.simulation import exact_coordinates, simulate
 
 HEIGHT = 1500.0
 

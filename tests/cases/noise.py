@@ -4,7 +4,7 @@ import equinox as eqx
 import numpy as np
 
 from jaxbundle.block.block import Block
-from jaxbundle.planning.simulate import Simulation
+from jaxbundle.planning.simulation import Simulation
 
 
 def with_noise(simulation: Simulation, seed: int) -> Block:

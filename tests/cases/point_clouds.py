@@ -19,7 +19,7 @@ from jaxbundle.block.block import (
     Rays,
     Structure,
 )
-from jaxbundle.block.observations import CONTROL, observation_group
+from jaxbundle.block.observation_kinds import CONTROL, observation_group
 from jaxbundle.camera.collinearity import Vector
 from jaxbundle.camera.model import CameraModel
 from jaxbundle.geometry.rotation import OMEGA_PHI_KAPPA, Scalar, apply, transpose

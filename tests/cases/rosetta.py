@@ -6,8 +6,8 @@ from pathlib import Path
 import numpy as np
 
 from jaxbundle.io.formats.foreign_block import ForeignBlock, ReadOptions
+from jaxbundle.io.formats.format_table import read_format
 from jaxbundle.io.formats.misfit import ray_residuals
-from jaxbundle.io.formats.registry import read_format
 
 PLACES = {
     "metashape": "metashape/sxb",

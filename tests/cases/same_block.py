@@ -6,7 +6,7 @@ import jax
 import numpy as np
 
 from jaxbundle.block.block import Block
-from jaxbundle.block.observations import ObservationGroup, ObservationKind
+from jaxbundle.block.observation_kinds import ObservationGroup, ObservationKind
 
 
 def group_of(block: Block, kind: ObservationKind) -> ObservationGroup:

@@ -7,8 +7,8 @@ import numpy as np
 from jaxbundle.block.block import Block
 from jaxbundle.planning.accuracy import judged_points
 from jaxbundle.planning.flight import ControlSet, FlightPlan, Navigation, schematic
-from jaxbundle.planning.predict import predict
-from jaxbundle.planning.simulate import simulate_flight
+from jaxbundle.planning.prediction import predict
+from jaxbundle.planning.simulation import simulate_flight
 
 UNIT = schematic().sigma * schematic().scale_number
 BASE, DISTANCE = 0.4 * 230e-3 * 1500 / 0.153, 0.8 * 230e-3 * 1500 / 0.153

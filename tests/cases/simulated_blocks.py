@@ -1,7 +1,7 @@
 """The simulated blocks of the tests: all have the same shape, so that a process compiles their adjustment once."""
 
 from jaxbundle.planning.flight import AerialCamera
-from jaxbundle.planning.simulate import Simulation, simulate
+from jaxbundle.planning.simulation import Simulation, simulate
 
 CAMERA = AerialCamera(
     principal_distance=100.0,

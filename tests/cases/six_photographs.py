@@ -13,9 +13,9 @@ from jaxbundle.block.block import (
     Rays,
     Structure,
 )
-from jaxbundle.block.observations import CONTROL, observation_group
-from jaxbundle.camera.registry import CAMERA_MODELS
-from jaxbundle.planning.simulate import exact_coordinates
+from jaxbundle.block.observation_kinds import CONTROL, observation_group
+from jaxbundle.camera.camera_models import CAMERA_MODELS
+from jaxbundle.planning.simulation import exact_coordinates
 
 PHOTOS, KNOWN, TIES = 6, 12, 30
 SIGMAS = np.array([0.008, 0.004, 0.05])  # image coordinates of control points and of tie points [mm], control [m]

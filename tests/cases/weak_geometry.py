@@ -9,10 +9,10 @@ from cases.all_observations import observed, tie_points
 
 from jaxbundle.block.block import Block
 from jaxbundle.block.geodetic import DISTANCES
-from jaxbundle.block.observations import ObservationKind
+from jaxbundle.block.observation_kinds import ObservationKind
 from jaxbundle.camera.model import CameraModel
 from jaxbundle.planning.flight import AerialCamera
-from jaxbundle.planning.simulate import exact_coordinates, simulate
+from jaxbundle.planning.simulation import exact_coordinates, simulate
 
 SIGMA = 0.006  # mm
 

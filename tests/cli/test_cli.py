@@ -19,7 +19,7 @@ from jaxbundle.cli.interruption import Interruption
 from jaxbundle.cli.progress import HEADER, ProgressLines
 from jaxbundle.io import read, write_block_folder
 from jaxbundle.solve.adjust import Progress, adjust
-from jaxbundle.solve.stopping import AngleRule, ParallaxRule, PointRule, UnknownRule
+from jaxbundle.solve.stopping_rules import AngleRule, ParallaxRule, PointRule, UnknownRule
 from jaxbundle.solve.weight_functions import Huber, Tukey
 
 ROOT = Path(__file__).parents[2]
@@ -94,13 +94,18 @@ def test_results_that_cannot_be_written_are_kept_elsewhere(run, folder, adjustme
     monkeypatch.setattr(adjusting, "write_report", full)
     monkeypatch.setattr("tempfile.tempdir", str(tmp_path))
     code, out, err = run("adjust", folder)
-    assert code == 3 and "No space left on device; the results are kept in" in err
+    assert code == 3 and "No space left on device; the results were saved in" in err
     assert "sigma0" in out
     kept = Path(out.splitlines()[-1].removeprefix("Results: "))
     assert kept.parent == tmp_path and json.loads((kept / "report.json").read_text())["trustworthy"]
     monkeypatch.setattr(adjusting, "rescue", full)
     code, out, err = run("adjust", folder)
-    assert code == 3 and "nor is there another place" in err and "sigma0" in out and "Results: not written" in out
+    assert (
+        code == 3
+        and "a temporary folder cannot be written either" in err
+        and "sigma0" in out
+        and "Results: not written" in out
+    )
 
 
 def test_a_report_that_fails_leaves_the_numbers(run, folder, adjustment, tmp_path, monkeypatch):
@@ -111,7 +116,7 @@ def test_a_report_that_fails_leaves_the_numbers(run, folder, adjustment, tmp_pat
     monkeypatch.setattr("jaxbundle.report.files.text_of", broken)
     monkeypatch.setattr("tempfile.tempdir", str(tmp_path))
     code, out, err = run("adjust", folder)
-    assert code == 4 and "an error of the program (KeyError: 'a mistake in the report')" in err
+    assert code == 4 and "internal error (KeyError: 'a mistake in the report')" in err
     assert "please report it together with" in err and "Traceback" not in err
     (trace,) = tmp_path.glob("jaxbundle-error-*.txt")
     assert "Traceback" in trace.read_text() and "jaxbundle 0.1.0" in trace.read_text()
@@ -127,7 +132,7 @@ def test_a_report_that_fails_leaves_the_numbers(run, folder, adjustment, tmp_pat
     [
         (RuntimeError("RESOURCE_EXHAUSTED: Out of memory"), 4, "not enough memory"),
         (MemoryError(), 4, "not enough memory"),
-        (ZeroDivisionError("of the program"), 4, "an error of the program (ZeroDivisionError: of the program)"),
+        (ZeroDivisionError("of the program"), 4, "internal error (ZeroDivisionError: of the program)"),
         (PermissionError(13, "Permission denied", "x.csv"), 2, "x.csv"),
     ],
 )
@@ -186,7 +191,7 @@ def test_a_second_ctrl_c_ends_a_process_that_hears_nothing():
         start = time.monotonic()
         process.send_signal(signal.SIGINT)
         assert process.stderr.readline() == "\n"
-        assert process.stderr.readline() == "jaxbundle: stopping after this step; Ctrl-C again ends at once\n"
+        assert process.stderr.readline() == "jaxbundle: stopping after this step; Ctrl-C again stops immediately\n"
         time.sleep(1.0)  # what comes within half a second is the same Ctrl-C
         process.send_signal(signal.SIGINT)
         assert process.wait(timeout=10) == 130 and time.monotonic() - start < 5
@@ -276,13 +281,13 @@ def test_a_block_too_large_for_an_engine_is_2(run, folder, monkeypatch):
         ),
         (("--method", "models", "--stop", "parallax", "--limit", "1"), "belong to the bundle"),
         (("--stop", "points"), "--stop points needs a --limit"),
-        (("--robust-limit", "3"), "--robust-limit belongs to --robust"),
+        (("--robust-limit", "3"), "--robust-limit requires --robust"),
         (("--robust", "huber", "--robust-limit", "0"), "--robust-limit 0.0 is not positive"),
-        (("--robust", "huber", "--checkpoint", "state"), "--robust solves many times and keeps no --checkpoint"),
+        (("--robust", "huber", "--checkpoint", "state"), "--checkpoint is not supported together with --robust"),
         (("--robust", "l1"), "'l1' is not one of"),
         (("--limit", "0"), "--limit 0.0 is not positive"),
         (("--limit", "nan"), "--limit nan is not positive"),
-        (("--unknown", "1_01:X0"), "--unknown belongs to --stop unknown"),
+        (("--unknown", "1_01:X0"), "--unknown requires --stop unknown"),
         (("--stop", "unknown", "--limit", "1", "--unknown", "X0"), "--unknown X0 is not NAME:ELEMENT"),
         (("--stop", "unknown", "--limit", "1", "--unknown", "9_09:X0"), "no unknown X0 of 9_09"),
         (("--max-iterations", "0"), "greater than or equal to 1"),
@@ -320,7 +325,7 @@ def test_convert(run, folder, tmp_path, shared_data):
     assert read(tmp_path / "copy").structure.image_names == read(folder).structure.image_names
     assert run("convert", folder, "copy")[0] == 2  # it exists
     code, _, err = run("convert", folder, "copy.txt")
-    assert code == 2 and "BAL files know 'bal' alone" in err and not (tmp_path / "copy.txt").exists()
+    assert code == 2 and "BAL files support the model 'bal' only" in err and not (tmp_path / "copy.txt").exists()
     bal = shared_data / "bal" / "ladybug-49-shrink-1800.txt"
     assert run("convert", bal, "folder")[0] == run("convert", "folder", "again.txt")[0] == 0
     assert read(tmp_path / "again.txt").structure.point_names == read(bal).structure.point_names
@@ -335,7 +340,7 @@ def test_demo_runs(run, tmp_path, monkeypatch):
     monkeypatch.setattr(demo, "simulations", lambda: {"strip": small_block()})
     code, out, err = run("demo", "--out", "results")
     assert (code, err) == (0, "")
-    assert "Adjusted less true values, in standard deviations" in out and "within 2 sd" in out
+    assert "Adjusted - true values, in standard deviations" in out and "within 2 sd" in out
     assert sorted(path.name for path in (tmp_path / "results").iterdir()) == ["strip", "strip-adjusted"]
 
 

@@ -9,7 +9,7 @@ def test_blocks_of_other_programs(run, tmp_path, shared_data):
     """Read by content, with a table beside it; written by name or suffix, and what is lost is said."""
     rig = shared_data / "exchange" / "colmap" / "rig2_synthetic" / "bin"
     code, out, _ = run("convert", rig, "block")
-    assert code == 0 and "misfit at the file's own values: 480 tie rays: 0.5046 px rms" in out
+    assert code == 0 and "misfit at the values of the file: 480 tie rays: 0.5046 px rms" in out
     code, out, _ = run("convert", "block", "again", "--to", "colmap-text")
     assert code == 0 and out.endswith("Block bin: again\n") and (tmp_path / "again" / "cameras.txt").is_file()
     assert run("convert", "again", "b.xml", "--format", "colmap")[0] == 0

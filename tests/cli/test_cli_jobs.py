@@ -16,7 +16,7 @@ from jaxbundle.cli import main, runtime, several
 from jaxbundle.cli.adjusting import Outcome
 from jaxbundle.cli.codes import Code
 from jaxbundle.io import write_block_folder
-from jaxbundle.planning.simulate import simulate
+from jaxbundle.planning.simulation import simulate
 from jaxbundle.solve.adjust import adjust
 from jaxbundle.solve.adjustment import Status
 
@@ -113,7 +113,7 @@ def test_no_place_for_results(run, blocks):
 @pytest.mark.parametrize(
     ("options", "message"),
     [
-        (("--checkpoint", "state"), "a --checkpoint and a cluster belong to one block"),
+        (("--checkpoint", "state"), "--checkpoint and a cluster support one block only"),
         (("--jobs", "0"), "greater than or equal to 1"),
     ],
 )
@@ -170,7 +170,7 @@ def test_ctrl_c_ends_the_workers(blocks, tmp_path, how):
     process.send_signal(how)
     out, err = process.communicate(timeout=120)
     assert process.returncode == 130 and b"Traceback" not in err
-    assert err.count(b"Ctrl-C again ends at once") == 1
+    assert err.count(b"Ctrl-C again stops immediately") == 1
     assert out.count(b"not adjusted") == 2
     time.sleep(1.0)  # the tracker ends when it finds itself alone
     assert not [pid for pid in workers if runs(pid)]

@@ -59,7 +59,7 @@ def test_laws(run):
 
 def test_a_flight_is_predicted(run, tmp_path):
     code, out, _ = run("flight.toml", "--out", "plan")
-    assert code == 0 and "The flight keeps the specification X, Y 0.5 m, Z 1 m at 95% of the points" in out
+    assert code == 0 and "The flight meets the specification X, Y 0.5 m, Z 1 m at 95% of the points" in out
     found = json.loads((tmp_path / "plan" / "prediction.json").read_text())
     assert found["specification"]["passed"] and found["control_points"] == 4 and found["undetermined"] == []
     for name in ("sigma_XY.svg", "sigma_Z.svg"):
@@ -68,7 +68,7 @@ def test_a_flight_is_predicted(run, tmp_path):
         assert len(circles) == found["judged_points"] + 6 + 1  # the legend and the ring
     assert (tmp_path / "plan" / "points.csv").read_text().startswith("point,X,Y,Z,sX,sY,sZ,rays,control\n")
     code, out, _ = run("flight", "flight.toml", "--out", "plan", z=1e-3)
-    assert code == 1 and "does not keep the specification" in out
+    assert code == 1 and "does not meet the specification" in out
 
 
 def test_a_flight_is_simulated(run, tmp_path):
@@ -90,10 +90,10 @@ def test_wrong_flights_end_with_code_2(run):
 @pytest.mark.thorough
 def test_control_is_placed(run, tmp_path):
     code, out, _ = run("control", "flight.toml", "--points", 2, "--sigma", 0.02, 0.02, 0.02, "--out", "control")
-    assert code == 0 and "2 control points" in out and "no layout of as many of the places is better by" in out
+    assert code == 0 and "2 control points" in out and "no layout with this number of positions is better by" in out
     assert len((tmp_path / "control" / "control.csv").read_text().splitlines()) == 3
     code, out, _ = run("control", "flight.toml", "--sigma", 0.01, 0.01, 0.01)
-    assert code == 0 and "1 control point" in out and "the specification is kept" in out
+    assert code == 0 and "1 control point" in out and "the specification is met" in out
 
 
 @pytest.mark.thorough

@@ -22,7 +22,7 @@ from jaxbundle.geometry.rotation import OMEGA_PHI_KAPPA
 from jaxbundle.solve.adjust import adjust
 from jaxbundle.solve.adjustment import Adjustment, Status
 from jaxbundle.solve.verdict import with_verdict
-from jaxbundle.statistics.reliability import redundancy_numbers
+from jaxbundle.statistics.reliability_tables import redundancy_numbers
 from jaxbundle.statistics.significance import insignificant
 
 
@@ -188,10 +188,10 @@ def test_elements_are_insignificant_together(adjustment):
     q[0, 3, 4] = q[0, 4, 3] = -0.98 * (sd / scale) ** 2
     jointly = with_interior(adjustment, {3: 1.9 * sd, 4: 1.8 * sd}, q)
     (one,) = found(jointly, Kind.INSIGNIFICANT)
-    assert one.subjects == (Subject("cameras", ("camera",), "K2"),) and one.cure == "hold it at 0"
+    assert one.subjects == (Subject("cameras", ("camera",), "K2"),) and one.cure == "fix it at 0"
     both = with_interior(adjustment, {3: 0.1 * sd, 4: 0.1 * sd}, q)
     (two,) = found(both, Kind.INSIGNIFICANT)
-    assert {s.component for s in two.subjects} == {"K1", "K2"} and two.cure == "hold them at 0"
+    assert {s.component for s in two.subjects} == {"K1", "K2"} and two.cure == "fix them at 0"
     assert not any(s.component in ("principal_distance", "x0", "y0") for s in two.subjects)
 
 
@@ -245,7 +245,7 @@ def test_check_points_that_are_off(adjustment):
 def test_check_points_of_an_arbitrary_datum_say_nothing(adjustment):
     datum = dataclasses.replace(adjustment.block.structure.datum, kind="minimal")
     (note,) = found(with_structure(adjustment, datum=datum), Kind.CHECK_POINTS)
-    assert note.severity is Severity.NOTE and "say nothing about accuracy" in note.what
+    assert note.severity is Severity.NOTE and "do not measure accuracy" in note.what
 
 
 def test_a_small_redundancy(adjustment):

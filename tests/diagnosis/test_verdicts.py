@@ -194,7 +194,7 @@ def test_refused(shared_data: Path, case: str, words: str) -> None:
 
 def control_error(block: jb.Block, size: float) -> tuple[jb.Block, str]:
     """The block with a wrong height of its first control point, and the point's name."""
-    number = next(k for k, group in enumerate(block.groups) if group.structure.kind is jb.CONTROL)
+    number = next(k for k, group in enumerate(block.groups) if group.structure.kind is jb.observations.CONTROL)
     group = block.groups[number]
     wrong = eqx.tree_at(lambda b: b.groups[number].values, block, group.values.at[0, 2].add(size))
     return wrong, block.structure.point_names[group.structure.indices[0, 0]]
@@ -206,7 +206,7 @@ def test_a_wrong_height_is_named_whatever_its_size(shared_data: Path, size: floa
     """By its residual where the adjustment ends well, by the start and by what cures it where it does not."""
     right = jb.read(shared_data / "cases" / "01-gcp-axes-swapped" / "cured", check_start=False)
     wrong, name = control_error(right, size)
-    start = with_findings(*jb.prepared(wrong))
+    start = with_findings(*jb.blocks.prepared(wrong))
     found = jb.findings(jb.adjust(start), start)
     named = [f for f in found if f.kind in (Kind.CONTROL_SYSTEM, Kind.SUSPECT)]
     assert named and all(f.subjects[0].names == (name,) for f in named), [f.words for f in found]

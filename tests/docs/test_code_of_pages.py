@@ -73,7 +73,7 @@ def test_thorough_code_runs(name, capsys):
 
 def test_the_start_page_quotes_the_report(folder):
     """Every block of the page that is part of the report stands in it, line for line."""
-    report = jb.report_text(jb.adjust(jb.read("quarry"))).splitlines()
+    report = jb.report.report_text(jb.adjust(jb.read("quarry"))).splitlines()
     quoted = text_of(PAGES["start"]).partition("## The report, line by line")[2].partition("## The same")[0]
     lines = [line for line in quoted.splitlines() if line.startswith("  ") and "last step" not in line]
     assert len(lines) > 25 and not [line for line in lines if line not in report]
@@ -88,6 +88,6 @@ def test_the_picture_is_made_by_its_script(folder, monkeypatch, capsys):
 
 
 def test_the_minimal_detectable_error_of_the_page_on_statistics(folder):
-    tables = jb.reliability(jb.adjust(jb.read("quarry")))
+    tables = jb.statistics.reliability(jb.adjust(jb.read("quarry")))
     assert tables.redundancy_numbers[0].min() == pytest.approx(0.113, abs=5e-4)
     assert np.max(tables.minimal_detectable[0]) == pytest.approx(6.13, abs=5e-3)

@@ -27,7 +27,8 @@ LAYERS = {
     "io": 9,
     "report": 10,
     "measuring": 10,
-    "cli": 11,
+    "plot": 11,
+    "cli": 12,
 }
 LONGEST = 400  # lines
 MAX_POSITIONAL = 5  # arguments

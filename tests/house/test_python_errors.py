@@ -3,6 +3,7 @@
 import dataclasses
 import importlib.metadata
 import tomllib
+from operator import attrgetter
 from pathlib import Path
 
 import equinox as eqx
@@ -14,9 +15,9 @@ from cases.simulated_blocks import small_block
 
 import jaxbundle as jb
 from jaxbundle.block.findings import Kind
-from jaxbundle.solve import robust as solve_robust
+from jaxbundle.solve import reweighting as solve_reweighting
 from jaxbundle.solve.adjustment import Status
-from jaxbundle.statistics.precision import Estimated
+from jaxbundle.statistics.covariance import Estimated
 
 
 @pytest.fixture(scope="module")
@@ -31,38 +32,38 @@ def result(block):
 
 OF_BLOCKS = {
     "adjust": (),
-    "predict": (),
-    "variance_components": (),
-    "validate": (),
-    "with_datum": (),
-    "with_interior_held": (),
-    "datum_defect": (),
-    "intersect": (),
-    "parallax_rule": (1e-6,),
-    "unknown_rule": (1e-6,),
-    "all_control": (),
-    "camera_rays": ("camera",),
-    "control_point": ("1",),
-    "control_rays": (),
-    "image_rays": ((), "strip"),
-    "observations_of_kind": ("control",),
-    "three_groups": (),
-    "tie_rays": (),
+    "planning.predict": (),
+    "statistics.variance_components": (),
+    "blocks.validate": (),
+    "blocks.with_datum": (),
+    "blocks.with_interior_held": (),
+    "blocks.datum_defect": (),
+    "orientation.intersect": (),
+    "stopping.parallax_rule": (1e-6,),
+    "stopping.unknown_rule": (1e-6,),
+    "statistics.all_control": (),
+    "statistics.camera_rays": ("camera",),
+    "statistics.control_point": ("1",),
+    "statistics.control_rays": (),
+    "statistics.image_rays": ((), "strip"),
+    "statistics.observations_of_kind": ("control",),
+    "statistics.three_groups": (),
+    "statistics.tie_rays": (),
 }
 OF_ADJUSTMENTS = {
     "snoop": (),
-    "reliability": (),
+    "statistics.reliability": (),
     "covariance_of": (lambda b: b.object_points,),
-    "error_ellipses": (),
-    "error_ellipsoids": (),
-    "control_influence": (),
-    "influence": (None,),
+    "statistics.error_ellipses": (),
+    "statistics.error_ellipsoids": (),
+    "statistics.control_influence": (),
+    "statistics.influence": (None,),
 }
 
 
 @pytest.mark.parametrize("name", OF_BLOCKS)
 def test_functions_of_a_block(name, result):
-    function, more = getattr(jb, name), OF_BLOCKS[name]
+    function, more = attrgetter(name)(jb), OF_BLOCKS[name]
     for given, cure in (
         ("folder", "jb.read('folder')"),
         (Path("folder"), "jb.read('folder')"),
@@ -77,7 +78,7 @@ def test_functions_of_a_block(name, result):
 
 @pytest.mark.parametrize("name", OF_ADJUSTMENTS)
 def test_functions_of_an_adjustment(name, block):
-    function, more = getattr(jb, name), OF_ADJUSTMENTS[name]
+    function, more = attrgetter(name)(jb), OF_ADJUSTMENTS[name]
     for given, cure in ((block, "jb.adjust(block)"), ("folder", "jb.adjust(jb.read('folder'))")):
         with pytest.raises(TypeError) as caught:
             function(given, *more)
@@ -150,14 +151,14 @@ def test_robust_precision_has_the_weights_of_the_last_round(block):
     """Standard deviations, covariances and reliability are of one adjustment."""
     ray = 5
     shifted = block.rays.coordinates.at[ray].add(60 * block.rays.sigmas[ray])
-    result = jb.adjust(eqx.tree_at(lambda b: b.rays.coordinates, block, shifted), robust=jb.Huber())
+    result = jb.adjust(eqx.tree_at(lambda b: b.rays.coordinates, block, shifted), robust=jb.robust.Huber())
     assert result.reweighting is not None
     weight = float(result.reweighting.weights[ray])
     assert weight < 0.2
     point = int(block.structure.ray_point[ray])
     found = jb.covariance_of(result, lambda b: b.object_points[point])
     np.testing.assert_allclose(found.standard_deviations, result.standard_deviations.object_points[point], rtol=1e-7)
-    tables = jb.reliability(result)
+    tables = jb.statistics.reliability(result)
     sigma = np.asarray(block.rays.sigmas)[ray] / np.sqrt(weight)
     ratio = tables.minimal_detectable[0][ray] * np.sqrt(tables.redundancy_numbers[0][ray]) / sigma
     np.testing.assert_allclose(ratio, 4.1321, rtol=1e-3)
@@ -173,8 +174,8 @@ def test_robust_rounds_end_where_the_adjustment_does_not_converge(block, monkeyp
         counted.append(block)
         return dataclasses.replace(original, block=block)
 
-    ended = solve_robust.adjust_robustly(block, jb.Tukey(), solve_robust.Solve(never, never))
-    assert len(counted) == 2 + solve_robust.FAILED_ROUNDS
+    ended = solve_reweighting.adjust_robustly(block, jb.robust.Tukey(), solve_reweighting.Solve(never, never))
+    assert len(counted) == 2 + solve_reweighting.FAILED_ROUNDS
     assert ended.reweighting is not None and not ended.reweighting.settled and not ended.trustworthy
     (found,) = [finding for finding in ended.findings if finding.kind is Kind.UNSETTLED]
     assert "in round 2 the adjustment ended at the maximum number of iterations" in found.what

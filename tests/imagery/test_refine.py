@@ -14,10 +14,10 @@ import jaxbundle as jb
 from jaxbundle.imagery.match_types import MatchOptions
 from jaxbundle.imagery.matching import match
 from jaxbundle.imagery.ray_sigmas import MIN_SIGMA
-from jaxbundle.imagery.refine import TEMPLATE, refine
+from jaxbundle.imagery.refinement import TEMPLATE, refine
 from jaxbundle.imagery.window_pairs import MAX_SHIFT, PairTable, match_pairs
 from jaxbundle.imagery.windows import GreyImages
-from jaxbundle.measuring.rays import COARSE, FINE
+from jaxbundle.measuring.measured_rays import COARSE, FINE
 
 
 def every(rays, step):
@@ -107,7 +107,7 @@ def test_four_levels_pull_in_four_pixels(shared_data):
 @pytest.mark.thorough
 def test_derivative_through_matching_and_adjustment():
     """How grey values of one window move an adjusted point: derivative of the minima = central differences."""
-    block, waves, rng = jb.with_datum(small_block().block), Waves(2), np.random.default_rng(3)
+    block, waves, rng = jb.blocks.with_datum(small_block().block), Waves(2), np.random.default_rng(3)
     size, middle = 35, 17.5
     template = waves(*pixel_centres(11))
     searched = waves(*pixel_centres(size, (0.3, -0.2))) + 0.5 * rng.standard_normal((size, size))
@@ -121,7 +121,7 @@ def test_derivative_through_matching_and_adjustment():
         options = MatchOptions(parameters="affine")
         shift = match(template[None], grey[None], np.full((1, 2), 5.5), start, options).position[0] - middle
         moved = eqx.tree_at(lambda b: b.rays.coordinates, block, block.rays.coordinates.at[ray].add(shift))
-        result = jb.adjust(moved, precision=False, stop=jb.AngleRule(1e-13))
+        result = jb.adjust(moved, precision=False, stop=jb.stopping.AngleRule(1e-13))
         return result.block.object_points[point]
 
     with_slope = jax.jit(lambda t: jax.jvp(adjusted, (t,), (1.0,)))

@@ -9,7 +9,7 @@ import jaxbundle as jb
 from jaxbundle.imagery.match_types import Refusal
 from jaxbundle.imagery.tied import OrientedWindow, match_tied
 
-MODEL = jb.CAMERA_MODELS["none"]
+MODEL = jb.cameras.CAMERA_MODELS["none"]
 INTERIOR = np.array([1000.0, 500.0, 400.0, 1.0, -1.0])
 NORMAL = np.array([0.2, -0.1, 1.0]) / np.sqrt(1.05)
 POINT = np.array([0.35, -0.2, 2.0])

@@ -5,9 +5,9 @@ import pytest
 from PIL import Image
 
 import jaxbundle as jb
-from jaxbundle.imagery.candidates import candidates
 from jaxbundle.imagery.exif import exif_of
-from jaxbundle.imagery.features import empty_places, features, kept_features, spread
+from jaxbundle.imagery.interest_points import empty_places, features, kept_features, spread
+from jaxbundle.imagery.match_candidates import candidates
 from jaxbundle.imagery.tracks import local_affine, tracks
 from jaxbundle.imagery.window_pairs import levels_of
 

@@ -8,7 +8,7 @@ from cases.noise import with_noise
 
 import jaxbundle as jb
 from jaxbundle.block.findings import Kind
-from jaxbundle.independent.adjust_models import formed
+from jaxbundle.independent.model_adjustment import formed
 from jaxbundle.independent.model_block import model_block
 from jaxbundle.independent.polynomials import Form, correction, elements
 from jaxbundle.independent.sensors import factor_numbers
@@ -19,7 +19,7 @@ DRAWS = 8
 
 
 @pytest.fixture(scope="module")
-def simulation() -> jb.Simulation:
+def simulation() -> jb.planning.Simulation:
     return jb.simulate(2, 7, control_sigma=0.02, points_per_image=30, control_rows=4, seed=1)
 
 
@@ -28,7 +28,7 @@ def test_unbiased_and_as_precise_as_reported(simulation):
     truth, errors, ratios = np.asarray(simulation.truth.object_points), [], []
     deviations, points = None, np.zeros(0, int)
     for seed in range(DRAWS):
-        result = jb.adjust_models(with_noise(simulation, seed))
+        result = jb.independent.adjust_models(with_noise(simulation, seed))
         if deviations is None:
             precision = result.propagated()
             assert precision is not None and 1.0 < precision.ratio < 1.4
@@ -72,22 +72,22 @@ def _mean_height(of_models, points: int) -> float:
     deviations = np.where(ground[:, None], [0.7, 0.7, 1.0], [1.6, 1.6, 0.6])
     numbers = np.array(block.rays.coordinates)
     numbers[:, 3:9] = factor_numbers(deviations[:, :, None] ** 2 * np.eye(3))
-    weighted = jb.Rays(jnp.asarray(numbers), block.rays.sigmas)
+    weighted = jb.blocks.Rays(jnp.asarray(numbers), block.rays.sigmas)
     result = jb.adjust(_with(block, weighted))
     assert result.cofactors is not None
     q = np.asarray(result.cofactors.object_points)[:count, 2, 2]
     return float(np.sqrt(q[block.structure.point_free[:count, 2]]).mean())
 
 
-def _with(block: jb.Block, rays: jb.Rays) -> jb.Block:
+def _with(block: jb.Block, rays: jb.blocks.Rays) -> jb.Block:
     return jb.Block(
         block.structure, block.exterior, block.interior, block.object_points, rays, block.groups, block.check_points
     )
 
 
 @pytest.fixture(scope="module")
-def strips(simulation) -> jb.StripAdjustment:
-    return jb.adjust_strips(simulation.block, form="conformal")
+def strips(simulation) -> jb.independent.StripAdjustment:
+    return jb.independent.adjust_strips(simulation.block, form="conformal")
 
 
 def test_strips(simulation, strips):
@@ -135,7 +135,7 @@ def test_bent_strips_are_straightened(simulation, strips, degree):
 
 def test_plan_and_height(simulation):
     """The iteration converges by a factor of more than 10 per round, to within a few standard deviations."""
-    found, simultaneous = jb.plan_height(simulation.block), jb.adjust_models(simulation.block)
+    found, simultaneous = jb.independent.plan_height(simulation.block), jb.independent.adjust_models(simulation.block)
     assert found.converged and (found.changes[1:-1] < 0.1 * found.changes[:-2]).all()
     sd = np.asarray(simultaneous.adjustment.standard_deviations.object_points)[: len(found.points)]
     difference = found.object_points - simultaneous.object_points

@@ -11,9 +11,9 @@ import jaxbundle as jb
 from jaxbundle.block.findings import Kind
 from jaxbundle.block.unknowns import unknowns_of
 from jaxbundle.independent import propagation
-from jaxbundle.independent.adjust_models import fixed_interior, formed
 from jaxbundle.independent.chains import chains
 from jaxbundle.independent.formation import Models
+from jaxbundle.independent.model_adjustment import fixed_interior, formed
 from jaxbundle.independent.sensors import factor_numbers, unwhitened
 from jaxbundle.independent.translated import kind_of_sensors
 
@@ -21,13 +21,13 @@ pytestmark = pytest.mark.xdist_group("models")
 
 
 @pytest.fixture(scope="module")
-def simulation() -> jb.Simulation:
+def simulation() -> jb.planning.Simulation:
     return jb.simulate(2, 4, control_sigma=0.02, points_per_image=30, station_sigma=0.2, seed=2)
 
 
 @pytest.fixture(scope="module")
-def result(simulation) -> jb.ModelAdjustment:
-    return jb.adjust_models(simulation.block)
+def result(simulation) -> jb.independent.ModelAdjustment:
+    return jb.independent.adjust_models(simulation.block)
 
 
 def strips_of(block: jb.Block) -> list[list[int]]:
@@ -84,7 +84,7 @@ def test_projection_centres_are_tie_points(result):
     shared = structure.point_names.index("centre of 1_02")
     seen = {structure.image_names[i] for i in structure.ray_image[structure.ray_point == shared]}
     assert seen == {first, second}
-    observed = [g for g in result.adjustment.block.groups if g.structure.kind is jb.CONTROL]
+    observed = [g for g in result.adjustment.block.groups if g.structure.kind is jb.observations.CONTROL]
     assert sum(g.count for g in observed) == 3 * (6 + 8)  # control points and observed stations
 
 
@@ -99,7 +99,7 @@ def test_residuals_in_the_unit_of_the_object():
 
 def test_a_kind_that_touches_images_touches_models():
     """Attitudes: the rotation of the image is that of the model times the constant one."""
-    kind = jb.ATTITUDES["omega-phi-kappa"]
+    kind = jb.observations.ATTITUDES["omega-phi-kappa"]
     new = kind_of_sensors(kind)
     assert new is kind_of_sensors(kind)
     assert new.touches[:2] == ("image", "point") and new.touches[2:] == kind.touches[1:]
@@ -113,7 +113,7 @@ def test_a_kind_that_touches_images_touches_models():
 def test_report_has_the_tables_of_the_bundle(result, tmp_path, monkeypatch):
     """The same columns of photographs and points, and the models themselves."""
     monkeypatch.setattr(propagation, "MAX_UNKNOWNS", 0)  # the dense design matrix has a test of its own
-    folder = jb.write_method_report(result, tmp_path / "models")
+    folder = jb.report.write_method_report(result, tmp_path / "models")
     data = json.loads((folder / "report.json").read_text())
     assert set(data["files"]) == {path.name for path in folder.iterdir()}
     assert data["method_of_adjustment"] == "models" and data["sigma0"] == float(result.adjustment.sigma0)
@@ -144,14 +144,14 @@ def _with_rays(block: jb.Block, coordinates: np.ndarray) -> jb.Block:
 def test_what_cannot_be_formed_is_told(simulation):
     block = simulation.block
     with pytest.raises(jb.BlockError, match="a model names image 9_99, which the block does not have"):
-        jb.adjust_models(block, pairs=[("1_01", "9_99")])
+        jb.independent.adjust_models(block, pairs=[("1_01", "9_99")])
     with pytest.raises(jb.BlockError, match="a model has image 1_01 twice"):
-        jb.adjust_models(block, pairs=[("1_01", "1_01")])
+        jb.independent.adjust_models(block, pairs=[("1_01", "1_01")])
     with pytest.raises(jb.BlockError, match="no two images form a model"):
         formed(block, [])
     _, told = formed(block, [("1_01", "1_02"), ("1_03", "1_04"), ("2_01", "2_02")])
     words = [finding.words for finding in told]
     assert any(w.startswith("2 images in no model: 2_03, 2_04") for w in words)
-    estimated = jb.simulate(1, 2, camera=jb.AerialCamera(estimate=("principal_distance",))).block
+    estimated = jb.simulate(1, 2, camera=jb.planning.AerialCamera(estimate=("principal_distance",))).block
     (told,) = fixed_interior(estimated)
     assert told.words.startswith("the interior elements camera principal_distance are fixed")

@@ -3,7 +3,7 @@
 import numpy as np
 import pytest
 
-from jaxbundle.independent.layout import Supported, missing_control
+from jaxbundle.independent.control_layout import Supported, missing_control
 from jaxbundle.independent.polynomials import correction, curbed, elements, strip_sensor
 
 FORMS = [("separate", 2), ("separate", 3), ("plan-conformal", 2), ("plan-conformal", 3), ("conformal", 2)]

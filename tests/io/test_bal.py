@@ -91,19 +91,19 @@ def test_any_rotation_system_is_written(tiny: Path) -> None:
 
 def test_other_cameras_are_not_written(tmp_path: Path) -> None:
     block = read_block_folder(make_small_folder(tmp_path / "small"))
-    with pytest.raises(BlockError, match="camera wide has the model 'none'; BAL files know 'bal' alone"):
+    with pytest.raises(BlockError, match="camera wide has the model 'none'; BAL files support the model 'bal' only"):
         write_bal(block, tmp_path / "small.txt")
 
 
 @pytest.mark.parametrize(
     ("old", "new", "expected"),
     [
-        ("2 2 4\n", "2 2\n", "1: the first line does not tell the numbers of cameras, points and observations; begin"),
-        ("2 2 4\n", "2 0 4\n", "1: 2 cameras, 0 points and 4 observations are no block; give at least one of each"),
+        ("2 2 4\n", "2 2\n", "1: the first line does not give the numbers of cameras, points and observations; begin"),
+        ("2 2 4\n", "2 0 4\n", "1: 2 cameras, 0 points and 4 observations are not a block; give at least one of each"),
         (
             "-4 5 -36\n",
             "",
-            "19: 2 cameras, 2 points and 4 observations need 43 numbers, the file has 40; the file is cut",
+            "19: 2 cameras, 2 points and 4 observations need 43 numbers, the file has 40; the file is truncated",
         ),
         (
             "-4 5 -36\n",
@@ -111,12 +111,16 @@ def test_other_cameras_are_not_written(tmp_path: Path) -> None:
             "20: 2 cameras, 2 points and 4 observations need 43 numbers, the file has 44; corr",
         ),
         ("1 0     -3.84", "1 0     3 -3.84", "3: observation '1 0 3 -3.844000e+01 4.921200e+02' has 5 numbers, not 4;"),
-        ("1 1 5.597500e+02 ", "1 1 ", "5: observation '1 1 -1.061500e+02' has 3 numbers, not 4; correct it, or take"),
-        ("-0.2\n", "-0.2x\n", "12: '-0.2x' is not a finite number; correct it, or take the file from its source again"),
+        (
+            "1 1 5.597500e+02 ",
+            "1 1 ",
+            "5: observation '1 1 -1.061500e+02' has 3 numbers, not 4; correct it, or download",
+        ),
+        ("-0.2\n", "-0.2x\n", "12: '-0.2x' is not a finite number; correct it, or download the file again"),
         ("-0.2\n", "nan\n", "12: 'nan' is not a finite number; correct it"),
         ("1 0     -3", "2 0     -3", "3: there is no camera 2: the file has 2, numbered from 0; correct the number"),
         ("1 1 5", "1 -1 5", "5: there is no point -1: the file has 2, numbered from 0; correct the number"),
-        ("1400 1e-3", "0 1e-3", "9: 0 is not from 1e-06 to 1e+09 in size, as f is; correct it, or take the file from"),
+        ("1400 1e-3", "0 1e-3", "9: 0 is not from 1e-06 to 1e+09 in size, as f is; correct it, or download the file"),
         (
             "1e-2 2e-2",
             "1e308 2e-2",

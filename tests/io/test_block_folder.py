@@ -22,7 +22,7 @@ from jaxbundle.block.block import Block, Datum
 from jaxbundle.block.datum import with_datum
 from jaxbundle.block.findings import Kind, Severity
 from jaxbundle.block.geodetic import DISTANCES
-from jaxbundle.block.observations import CONTROL, STATIONS, ObservationKind, observation_group
+from jaxbundle.block.observation_kinds import CONTROL, STATIONS, ObservationKind, observation_group
 from jaxbundle.block.problems import BlockError
 from jaxbundle.camera.model import CameraModel
 from jaxbundle.geometry.rotation import ALPHA_OMEGA_KAPPA
@@ -250,10 +250,10 @@ def test_what_takes_no_part_is_noted(small: Path) -> None:
     write(small, "distances.csv", "from,to,distance,sigma", [])
     change(small, "block.toml", 25, "[tables]", BROWN_CAMERA + "[tables]")
     assert tuple(note.words for note in read_block_folder(small).structure.findings) == (
-        "control point 900 is on no image and takes no part",
-        "2 approximate points are on no image and take no part: 901, 902",
-        "camera second one has no image and takes no part",
-        "distances.csv is not named in [tables] of block.toml and takes no part",
+        "control point 900 is on no image and is not used",
+        "2 approximate points are on no image and are not used: 901, 902",
+        "camera second one has no image and is not used",
+        "distances.csv is not named in [tables] of block.toml and is not used",
     )
 
 

@@ -61,7 +61,7 @@ WORDS: dict[str, tuple[Edit, str]] = {
     ),
     "fiducial without name": (
         row("fiducial_rays.csv", 11, "012,2", "012,"),
-        "fiducial_rays.csv:11: fiducial  on image 012: the fiducial has no name; name it or drop the row",
+        "fiducial_rays.csv:11: fiducial  on image 012: the fiducial has no name; add the name or drop the row",
     ),
     "measured twice": (
         row("fiducial_rays.csv", 11, "012,2", "012,1"),
@@ -104,18 +104,18 @@ WORDS: dict[str, tuple[Edit, str]] = {
     ),
     "camera in px": (
         lambda folder: [toml("pixel_size = 0.01\n", "")(folder), toml('"none"', '"metashape"')(folder)],
-        "block.toml:20: [cameras.wide] distortion 'metashape' is for rays in px, which fiducials bring to mm; "
-        "use another",
+        "block.toml:20: [cameras.wide] distortion 'metashape' is for rays in px, but fiducials transform them to mm; "
+        "use another distortion",
     ),
     "grid base": (
         toml('"none"', '"ebner"\ncoefficients = { grid_base = 0.0 }'),
-        "block.toml:20: [cameras.wide] grid_base is 0.0; give a positive one",
+        "block.toml:20: [cameras.wide] grid_base is 0.0; give a positive number",
     ),
     "no grid base": (
         toml('height = 3600\nprincipal_distance = 50.0\nprincipal_point = [0.1, -0.2]\ndistortion = "none"',
              'principal_distance = 50.0\nprincipal_point = [0.1, -0.2]\ndistortion = "gruen"'),
         "block.toml:12: [cameras.wide] distortion 'gruen' needs grid_base; "
-        "give it with the coefficients: 0.4 of the longer side of the image is usual",
+        "add it to the coefficients: 0.4 of the longer side of the image is usual",
     ),
 }  # fmt: skip
 AFFINE = ("too few", "none")

@@ -17,11 +17,11 @@ CASES: dict[str, tuple[Edit, str]] = {
     # files and tables
     "no block.toml": (
         removed("block.toml"),
-        "block.toml: the file is missing; add it to the folder, or drop what refers to it in block.toml",
+        "block.toml: the file is missing; add it to the folder, or drop its entry in block.toml",
     ),
     "no table": (
         removed("images.csv"),
-        "images.csv: the file is missing; add it to the folder, or drop what refers to it in block.toml",
+        "images.csv: the file is missing; add it to the folder, or drop its entry in block.toml",
     ),
     "no column": (line("rays.csv", 1, "point,", ""), "rays.csv:1: column 'point' is missing; add it"),
     "unknown column": (
@@ -43,7 +43,7 @@ CASES: dict[str, tuple[Edit, str]] = {
     ),
     "empty table": (
         lambda folder: write(folder, "points.csv", "point,X,Y,Z", []),
-        "points.csv: the table has no rows; fill it, or drop it and its entry in [tables]",
+        "points.csv: the table has no rows; add rows, or drop it and its entry in [tables]",
     ),
     "not UTF-8": (
         lambda folder: (folder / "points.csv").write_bytes(b"point,X,Y,Z\n106,1,2,3\nT\xfcr,1,2,3\n"),
@@ -66,15 +66,15 @@ CASES: dict[str, tuple[Edit, str]] = {
     ),
     "ray without point": (
         line("rays.csv", 17, "104", " "),
-        "rays.csv:17: point  on image 012: the point has no name; name it or drop the row",
+        "rays.csv:17: point  on image 012: the point has no name; add the name or drop the row",
     ),
     "ray without image": (
         line("rays.csv", 17, "012", ""),
-        "rays.csv:17: point 104 on image : the image has no name; name it or drop the row",
+        "rays.csv:17: point 104 on image : the image has no name; add the name or drop the row",
     ),
     "image without name": (
         added("images.csv", ",wide,0,0,100,0,0,0"),
-        "images.csv:6: image : the image has no name; name it or drop the row",
+        "images.csv:6: image : the image has no name; add the name or drop the row",
     ),
     "image twice": (
         added("images.csv", "012,wide,0,0,100,0,0,0"),
@@ -125,46 +125,46 @@ CASES: dict[str, tuple[Edit, str]] = {
     "empty number": (
         line("images.csv", 5, "-2.0", ""),
         "images.csv:5: image 022: omega is not given; give approximate values, as from GNSS, the flight plan or a map: "
-        "some percent of the flying height are enough",
+        "with errors below some percent of the height",
     ),
     "negative sigma": (
         line("control.csv", 3, "0.04", "-0.04"),
-        "control.csv:3: point 102: the standard deviation sZ is negative; give a positive one",
+        "control.csv:3: point 102: the standard deviation sZ is negative; give a positive number",
     ),
     "sigma 0 of a ray": (
         line("rays.csv", 14, ",,", ",0,"),
         "rays.csv:14: point 101 on image 012: the standard deviation sx is 0; "
-        "give a positive one, or leave it empty for the default",
+        "give a positive number, or leave it empty for the default",
     ),
     "sigma 0 of a station": (
         table("stations", STATIONS, "012,1,2,3,0,1,1"),
         "stations.csv:2: image 012: the standard deviation sX is 0; "
-        "give a positive one; [datum] in block.toml holds elements of images",
+        "give a positive number; to fix elements of images use [datum] in block.toml",
     ),
     "sigma 0 without coordinate": (
         line("control.csv", 5, ",,,0.04", ",0,,0.04"),
-        "control.csv:5: point 104: sX = 0 holds X, which is not given; give X or leave sX empty",
+        "control.csv:5: point 104: sX = 0 fixes X, which is not given; give X or leave sX empty",
     ),
     "negative distance": (
         table("distances", DISTANCES, "101,102,-10,0.1"),
-        "distances.csv:2: distance 101 - 102: the distance is not positive; give a positive one or drop the row",
+        "distances.csv:2: distance 101 - 102: the distance is not positive; give a positive number or drop the row",
     ),
     "no default sigma": (
         lambda folder: [
             change(folder, "block.toml", 22, "[sigma]", ""),
             change(folder, "block.toml", 22, "image = 0.5", ""),
         ],
-        "block.toml: [sigma] image is missing, and 48 rays have no sx, sy of their own; "
-        "give the standard deviation of an image coordinate",
+        "block.toml: [sigma] image is missing, and 48 rays have no sx, sy; "
+        "add the standard deviation of an image coordinate",
     ),
     # block.toml
     "no TOML": (
         toml(18, "[3010.0,", "[3010.0"),
-        "block.toml:18: no valid TOML: Unclosed array: principal_point = [3010.0 2490.0]; correct the line",
+        "block.toml:18: not valid TOML: Unclosed array: principal_point = [3010.0 2490.0]; correct the line",
     ),
     "other format": (toml(1, "1", "2"), "block.toml:1: format is 2; give 1"),
     "unknown unit": (toml(7, "deg", "grad"), "block.toml:7: [units] angle is \"grad\"; give 'deg', 'gon' or 'rad'"),
-    "missing unit": (toml(7, 'angle = "deg"', ""), "block.toml:5: [units] angle is missing; give it"),
+    "missing unit": (toml(7, 'angle = "deg"', ""), "block.toml:5: [units] angle is missing; add it"),
     "unknown rotation": (
         toml(10, "omega-phi-kappa", "phi-omega-kappa"),
         "block.toml:10: [rotation] rotation system 'phi-omega-kappa' is unknown; "
@@ -172,17 +172,17 @@ CASES: dict[str, tuple[Edit, str]] = {
     ),
     "unknown key": (
         toml(15, "width", "widht"),
-        "block.toml:15: [cameras.wide] widht is unknown; known here: image_unit, pixel_size, width, height, "
+        "block.toml:15: [cameras.wide] widht is unknown; known keys: image_unit, pixel_size, width, height, "
         "principal_distance, principal_point, distortion, coefficients, estimate, priors, corrections, fiducials",
     ),
     "unknown section": (
         added("block.toml", "[adjustment]\nsteps = 3"),
         "block.toml:30: adjustment is unknown; "
-        "known here: format, name, source, units, rotation, cameras, navigation, sigma, identification, datum, tables",
+        "known keys: format, name, source, units, rotation, cameras, navigation, sigma, identification, datum, tables",
     ),
     "missing principal distance": (
         toml(17, "principal_distance = 50.0", ""),
-        "block.toml:12: [cameras.wide] principal_distance is missing; give it",
+        "block.toml:12: [cameras.wide] principal_distance is missing; add it",
     ),
     "negative principal distance": (
         toml(17, "50.0", "-50.0"),
@@ -221,7 +221,7 @@ CASES: dict[str, tuple[Edit, str]] = {
     ),
     "no camera": (
         without_cameras,
-        'block.toml: [cameras] is missing; give it, such as [cameras.NAME] image_unit = "px"',
+        'block.toml: [cameras] is missing; add it, such as [cameras.NAME] image_unit = "px"',
     ),
     "unknown held image": (
         added("block.toml", '[datum]\ntype = "fixed"\nhold = { "012" = ["X0"], "013" = ["X0"] }'),
@@ -245,7 +245,7 @@ CASES: dict[str, tuple[Edit, str]] = {
     "parallel rays": (
         lambda folder: [dropped("rays.csv", "021,112", "022,112")(folder), same_place(folder)],
         "rays.csv:13: point 112 has no coordinates and its rays do not intersect; "
-        "give it approximate coordinates, measure it on an image from elsewhere or drop it",
+        "give it approximate coordinates, measure it on an image from a different position or drop it",
     ),
     "control of the datum": (
         dropped("control.csv", "103", "104"),
@@ -333,7 +333,7 @@ def test_no_folder(tmp_path: Path, reader: Callable[[Path], object]) -> None:
 
 def test_no_block(tmp_path: Path) -> None:
     (tmp_path / "letter.txt").write_text("Dear colleague,\n")
-    with pytest.raises(BlockError, match="letter.txt is in no known form; give a folder with block.toml, a BAL"):
+    with pytest.raises(BlockError, match="letter.txt has an unknown format; give a folder with block.toml, a BAL"):
         read(tmp_path / "letter.txt")
     with pytest.raises(BlockError, match="has no block.toml"):
         read(tmp_path)

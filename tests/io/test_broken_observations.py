@@ -84,13 +84,13 @@ CASES: dict[str, tuple[Edit, str]] = {
     ),
     "no end": (
         table("azimuths", AZIMUTHS, "101,,10,0.1"),
-        "azimuths.csv:2: azimuth 101 - : the to has no name; name it or drop the row",
+        "azimuths.csv:2: azimuth 101 - : the to has no name; add the name or drop the row",
     ),
     # values
     "horizontal distance of 0": (
         table("horizontal_distances", "from,to,distance,sigma", "101,102,0,1"),
         "horizontal_distances.csv:2: horizontal distance 101 - 102: the horizontal distance is not positive; "
-        "give a positive one or drop the row",
+        "give a positive number or drop the row",
     ),
     "zenith angle of the second face": (
         table("zenith_angles", ZENITHS, "101,102,271.2,0.1"),
@@ -103,22 +103,21 @@ CASES: dict[str, tuple[Edit, str]] = {
     ),
     "sigma 0": (
         table("directions", DIRECTIONS, "A,101,102,10,0"),
-        "directions.csv:2: direction 101 - 102 of set A: the standard deviation sigma is 0; give a positive one",
+        "directions.csv:2: direction 101 - 102 of set A: the standard deviation sigma is 0; give a positive number",
     ),
     # sets and bars
     "set with two stations": (
         table("directions", DIRECTIONS, "A,101,103,10,0.1", "A,102,103,10,0.1"),
-        "directions.csv:3: direction 102 - 103 of set A: set A was observed from 101 (line 2); "
-        "give it a set of its own",
+        "directions.csv:3: direction 102 - 103 of set A: set A was observed from 101 (line 2); give it its own set",
     ),
     "set without name": (
         table("directions", DIRECTIONS, ",101,103,10,0.1"),
-        "directions.csv:2: direction 101 - 103 of set : the set has no name; name it or drop the row",
+        "directions.csv:2: direction 101 - 103 of set : the set has no name; add the name or drop the row",
     ),
     "no bars": (
         table("scale_bars", SCALE_BARS, "b,101,102,0.1"),
         "block.toml:30: [tables] scale_bars need the table bars; "
-        'give a table bar,length,sigma and name it: bars = "bars.csv"',
+        'add a table bar,length,sigma and name it: bars = "bars.csv"',
     ),
     "unknown bar": (
         both(table("scale_bars", SCALE_BARS, "b,101,102,0.1"), table("bars", BARS, "c,1,0")),
@@ -131,16 +130,16 @@ CASES: dict[str, tuple[Edit, str]] = {
     ),
     "length of 0": (
         both(table("scale_bars", SCALE_BARS, "b,101,102,0.1"), table("bars", BARS, "b,0,")),
-        "bars.csv:2: bar b: the length is not positive; give a positive one, approximate where sigma is empty",
+        "bars.csv:2: bar b: the length is not positive; give a positive number, approximate where sigma is empty",
     ),
     # figures
     "plane of two points": (
         table("planes", "plane,point,sigma", "roof,101,0.1", "roof,102,0.1"),
-        "planes.csv:2: plane roof has 2 of the 3 points it needs; name more of its points or drop it",
+        "planes.csv:2: plane roof has 2 of at least 3 points; name more of its points or drop it",
     ),
     "plumb line of one point": (
         table("plumb_lines", "line,point,sigma", "p,101,0.1"),
-        "plumb_lines.csv:2: plumb line p has 1 of the 2 points it needs; name more of its points or drop it",
+        "plumb_lines.csv:2: plumb line p has 1 of at least 2 points; name more of its points or drop it",
     ),
     "unknown point of a line": (
         table("lines", "line,point,sigma", "l,101,0.1", "l,102,0.1", "l,900,0.1"),
@@ -171,7 +170,7 @@ CASES: dict[str, tuple[Edit, str]] = {
     # control
     "covariance without weight": (
         control("106,1,2,,0.1,0.1,,control,,0.001,,"),
-        "control.csv:7: point 106: cXZ is given, but not both sigmas of observed X and Z; give them, or drop it",
+        "control.csv:7: point 106: cXZ is given, but not both sigmas of observed X and Z; give both, ",
     ),
     "covariance too large": (
         control("106,1,2,3,0.1,0.1,0.1,control,0.02,,,"),
@@ -181,7 +180,7 @@ CASES: dict[str, tuple[Edit, str]] = {
     "unknown category": (
         both(control("106,1,2,3,0.1,0.1,0.1,control,,,,map"), added("block.toml", "[identification]\ntarget = 0.1")),
         "control.csv:7: point 106: category 'map' is not in [identification] of block.toml; "
-        "give its standard deviation there, correct the name or leave it empty",
+        "add its standard deviation there, correct the name or leave it empty",
     ),
     "negative identification": (
         added("block.toml", "[identification]\ntarget = -0.1"),
@@ -190,7 +189,7 @@ CASES: dict[str, tuple[Edit, str]] = {
     # navigation
     "unknown group": (
         station("strip"),
-        "stations.csv: the table has no rows; fill it, or drop it and its entry in [tables]",
+        "stations.csv: the table has no rows; add rows, or drop it and its entry in [tables]",
     ),
     "group that is no section": (
         station("strip", "0"),
@@ -199,12 +198,12 @@ CASES: dict[str, tuple[Edit, str]] = {
     ),
     "drift without times": (
         both(station("strip", "1", "", "2"), navigation('estimate = ["drift"]')),
-        "stations.csv:3: image 012: group strip has a drift and the row no time; give the time in a column time",
+        "stations.csv:3: image 012: group strip has a drift and the row has no time; give the time in a column time",
     ),
     "drift at one time": (
         both(station("strip", "7", "7"), navigation('estimate = ["drift"]')),
-        "stations.csv:2: image 011: group strip has a drift to estimate and all its times are the same; "
-        "give its true times, a prior of the drift, or hold it",
+        "stations.csv:2: image 011: group strip has a drift to estimate and all its times are equal; "
+        "give its true times, a prior of the drift, or do not estimate it",
     ),
     "attitude of an unknown image": (
         table("attitudes", ATTITUDES, "013,1,2,3,1,1,1,,"),
@@ -213,11 +212,11 @@ CASES: dict[str, tuple[Edit, str]] = {
     "sigma 0 of an attitude": (
         table("attitudes", ATTITUDES, "012,1,2,3,0,1,1,,"),
         "attitudes.csv:2: image 012: the standard deviation somega is 0; "
-        "give a positive one; [datum] in block.toml holds elements of images",
+        "give a positive number; to fix elements of images use [datum] in block.toml",
     ),
     "unknown systematic error": (
         navigation('estimate = ["shift", "tilt"]'),
-        "block.toml:31: [navigation.strip] what is to be estimated, tilt, is unknown; "
+        "block.toml:31: [navigation.strip] unknown parameters to estimate: tilt; "
         "known: lever_arm, shift, drift, boresight, attitude_shift, attitude_drift",
     ),
     "prior of what is held": (
@@ -231,7 +230,7 @@ CASES: dict[str, tuple[Edit, str]] = {
     ),
     "unknown key of a group": (
         navigation("lever = [1.0, 2.0, 3.0]"),
-        "block.toml:31: [navigation.strip] lever is unknown; known here: lever_arm, shift, drift, boresight, "
+        "block.toml:31: [navigation.strip] lever is unknown; known keys: lever_arm, shift, drift, boresight, "
         "attitude_shift, attitude_drift, estimate, priors",
     ),
     "group without name": (
@@ -254,7 +253,7 @@ CASES: dict[str, tuple[Edit, str]] = {
     ),
     "free network that holds": (
         free_network('hold = { "011" = ["X0"] }'),
-        'block.toml:31: [datum] a free network holds nothing; drop hold, or give type = "fixed"',
+        'block.toml:31: [datum] a free network fixes no elements; drop hold, or give type = "fixed"',
     ),
     "points of another datum": (
         added("block.toml", '[datum]\ntype = "minimal"\npoints = ["101", "102", "103"]'),
@@ -262,7 +261,7 @@ CASES: dict[str, tuple[Edit, str]] = {
     ),
     "two points of a free network": (
         free_network('points = ["101", "102"]'),
-        "block.toml:31: [datum] 2 points cannot carry the inner constraints; name 3 or more, or none",
+        "block.toml:31: [datum] 2 points are too few for inner constraints; name 3 or more, or none",
     ),
     "unknown point of a free network": (
         free_network('points = ["101", "102", "103", "900"]'),
@@ -271,11 +270,11 @@ CASES: dict[str, tuple[Edit, str]] = {
     "unknown element of a free network": (
         free_network('elements = ["translation", "scale"]'),
         "block.toml:31: [datum] elements are translation, scale; "
-        'give elements = ["translation", "rotation"], and "scale" where nothing else gives it',
+        'give elements = ["translation", "rotation"], and "scale" where no observation determines it',
     ),
     "scale that nothing gives": (
         free_network('elements = ["translation", "rotation"]'),
-        "block.toml:31: [datum] elements do not name the scale, and no observed distance and no scale bar gives it; "
+        "block.toml:31: [datum] elements exclude the scale, and no observed distance or scale bar determines it; "
         'add "scale" to elements, or observe a distance',
     ),
     "scale that is given": (
@@ -283,8 +282,8 @@ CASES: dict[str, tuple[Edit, str]] = {
             table("distances", "from,to,distance,sigma", "101,112,60,0.01"),
             free_network('elements = ["translation", "rotation", "scale"]'),
         ),
-        "block.toml:32: [datum] elements name the scale, which observed distances or scale bars give already; "
-        'drop "scale" from elements, or the observations that give it',
+        "block.toml:32: [datum] elements include the scale, but observed distances or scale bars determine it; "
+        'drop "scale" from elements, or drop the observations that determine it',
     ),
     "free network with control": (
         added("block.toml", '[datum]\ntype = "inner"'),
@@ -328,7 +327,7 @@ def test_what_is_defined_and_not_used_is_noted(tmp_path: Path) -> None:
     navigation('estimate = ["shift"]')(folder)
     block = read_block_folder(folder)
     assert tuple(note.words for note in block.structure.findings) == (
-        "bars c, d are in no table and take no part",
-        "navigation group strip is in no table and takes no part",
+        "bars c, d are in no table and are not used",
+        "navigation group strip is in no table and is not used",
     )
     assert [parameter.name for parameter in block.structure.parameters] == ["length of bar b"]

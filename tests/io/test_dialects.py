@@ -82,7 +82,7 @@ REFUSED: dict[str, tuple[Callable[[Path], object], str]] = {
     ),
     "no header": (
         lambda folder: write(folder, "points.csv", "101,1,2,3", ["102,1,2,3"]),
-        "points.csv:1: the first line '101,1,2,3' is no header; begin the table with its header: point,X,Y,Z",
+        "points.csv:1: the first line '101,1,2,3' is not a header; begin the table with its header: point,X,Y,Z",
     ),
     "only comments": (
         lambda folder: write(folder, "points.csv", "# one", ["", "# two"]),
@@ -95,7 +95,7 @@ REFUSED: dict[str, tuple[Callable[[Path], object], str]] = {
     ),
     "empty file": (
         lambda folder: (folder / "points.csv").write_text(""),
-        "points.csv: the file is empty; fill it, or drop it and its entry in [tables]",
+        "points.csv: the file is empty; add rows, or drop it and its entry in [tables]",
     ),
     "separator at the end": (
         lambda folder: write(folder, "points.csv", "point,X,Y,Z,", ["101,1,2,3,"]),
@@ -107,15 +107,15 @@ REFUSED: dict[str, tuple[Callable[[Path], object], str]] = {
     ),
     "thousands": (
         lambda folder: write(folder, "points.csv", "point;X;Y;Z", ["101;1.234,5;2;3"]),
-        "points.csv:2: point 101: X is '1.234,5', not a finite number; leave out the separators of thousands",
+        "points.csv:2: point 101: X is '1.234,5', not a finite number; remove the separators of thousands",
     ),
     "too small": (
         lambda folder: change(folder, "control.csv", 3, "0.04", "1e-400"),
-        "control.csv:3: point 102: sZ is '1e-400', too small to be meant; give 0, or correct it",
+        "control.csv:3: point 102: sZ is '1e-400', too small to be plausible; give 0, or correct it",
     ),
     "minus nothing": (
         lambda folder: change(folder, "control.csv", 3, "0.04", "-0"),
-        "control.csv:3: point 102: the standard deviation sZ is negative; give a positive one",
+        "control.csv:3: point 102: the standard deviation sZ is negative; give a positive number",
     ),
     "small sigma": (
         lambda folder: change(folder, "control.csv", 3, "0.04", "1e-99"),
@@ -135,11 +135,11 @@ REFUSED: dict[str, tuple[Callable[[Path], object], str]] = {
     ),
     "absolute path": (
         lambda folder: change(folder, "block.toml", 28, "points.csv", "/etc/passwd"),
-        "block.toml:28: [tables] points = '/etc/passwd' leads out of the folder; copy or link the table",
+        "block.toml:28: [tables] points = '/etc/passwd' is outside the folder; copy or link the table",
     ),
     "path upwards": (
         lambda folder: change(folder, "block.toml", 28, "points.csv", "../points.csv"),
-        "block.toml:28: [tables] points = '../points.csv' leads out of the folder",
+        "block.toml:28: [tables] points = '../points.csv' is outside the folder",
     ),
     "true as format": (
         lambda folder: change(folder, "block.toml", 1, "1", "true"),
@@ -163,11 +163,11 @@ REFUSED: dict[str, tuple[Callable[[Path], object], str]] = {
     ),
     "escape in a name": (
         lambda folder: change(folder, "rays.csv", 2, "101", "1\x1b[31m01"),
-        "rays.csv:2: point 1\\x1b[31m01 on image 011: the point has a character that is not visible; take it out",
+        "rays.csv:2: point 1\\x1b[31m01 on image 011: the point has an invisible character; delete this character",
     ),
     "direction of writing in a name": (
         lambda folder: change(folder, "rays.csv", 2, "101", "1\u202e01"),
-        "rays.csv:2: point 1\\u202e01 on image 011: the point has a character that is not visible",
+        "rays.csv:2: point 1\\u202e01 on image 011: the point has an invisible character",
     ),
 }  # fmt: skip
 SEVERAL = ("escape in a camera's name",)
@@ -231,7 +231,7 @@ def test_points_measured_again_are_told_once(tmp_path: Path) -> None:
     (finding,) = block.structure.findings
     assert len(block.structure.ray_point) == 51
     assert [subject.names for subject in finding.subjects] == [("011", "101"), ("011", "102"), ("021", "101")]
-    assert finding.what.startswith("3 rays measure a point again")
+    assert finding.what.startswith("3 rays repeat a point")
     assert np.isfinite(np.asarray(block.object_points)).all()
 
 

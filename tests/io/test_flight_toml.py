@@ -126,15 +126,15 @@ xy = 0.1
     with pytest.raises(BlockError) as told:
         read_flight(path)
     assert told.value.lines == (
-        "flight.toml:1: colour is unknown; known here: name, seed, noise, camera, flight, terrain, ties, sigma,"
+        "flight.toml:1: colour is unknown; known keys: name, seed, noise, camera, flight, terrain, ties, sigma,"
         " control, check, gnss, ins, gross_errors, specification",
         f"flight.toml:3: [camera] camera 'film' is unknown; did you mean film-305? known: {', '.join(CAMERAS)}",
-        "flight.toml:6: [flight] forward_overlap is 0.4; give 0.5 (50 percent) or more, so that all lies on two images",
+        "flight.toml:6: [flight] forward_overlap is 0.4; give 0.5 or more: each point must lie on two images",
         "flight.toml:12: [control] layout of control 'perimetre' is unknown; did you mean perimeter? known: rows,"
         " corners, perimeter, grid, chains, points",
         "flight.toml:13: [control] sigma has 2 elements; give 3, in brackets",
         "flight.toml:15: [gnss] sigma is 0.0; it should be greater than 0",
-        "flight.toml:16: [specification] z is missing; give it, such as z = 0.03, in metres",
+        "flight.toml:16: [specification] z is missing; add it, such as z = 0.03, in metres",
     )
 
 
@@ -148,13 +148,13 @@ STRIP = "height = 1500\nstrips = 1\nimages = 3"
         ("strips = 1\nimages = 3", "", r"\[flight\] has no height; give one of height, scale or gsd"),
         ("height = 9\nscale = 9\nstrips = 1\nimages = 3", "", "has height and scale; give one of"),
         ("height = 9", "", "has an area and strips, or neither; give either area, or strips and images"),
-        ("height = 9\nstrips = 2", "", "has strips or images alone; give both"),
+        ("height = 9\nstrips = 2", "", "has only one of strips and images; give both"),
         (STRIP, '[terrain]\ntype = "waves"', "of type waves has no relief, wavelength; give relief and wavelength"),
         (STRIP, '[terrain]\ntype = "grid"\nfile = "dem.csv"', "file dem.csv cannot be used"),
         (
             STRIP,
             '[[control]]\nlayout = "points"\nsigma = 0',
-            "points belong to layout = 'points'; give both or neither",
+            "layout = 'points' and the key points need each other; give both or neither",
         ),
         (STRIP, '[gnss]\nsigma = 1\nsystematic = "day"', "'day' is unknown; known: none, block, strip"),
     ],

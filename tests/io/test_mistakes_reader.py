@@ -50,7 +50,7 @@ REFUSED: dict[str, tuple[int, str, tuple[str, ...]]] = {
         ("1196 rows", "not in images.csv", "without '.tif'", "8811 for 8811.tif"),
     ),
     "a39_role_missing_column": (1, "control.csv:1", ("'role' is missing", "control or check")),
-    "a40_sigma_columns_missing": (1, "control.csv:1", ("'sX', 'sY', 'sZ'", "0 holds a coordinate")),
+    "a40_sigma_columns_missing": (1, "control.csv:1", ("'sX', 'sY', 'sZ'", "0 fixes a coordinate")),
     "a41_sigma_empty": (1, "control.csv:2", ("none of the 16 control points", "sX, sY, sZ are empty", "in m")),
     "a45_only_2_control": (1, "rays.csv:8", ("point 403 is seen on one image only",)),
     "a46_no_control": (1, "rays.csv:8", ("point 403 is seen on one image only",)),
@@ -62,7 +62,7 @@ REFUSED: dict[str, tuple[int, str, tuple[str, ...]]] = {
     "a59_object_unit_cm": (1, "block.toml:4", ('"cm"', "'m' or 'mm'")),
     "a60_toml_backslash_and_quotes": (1, "block.toml:2", ('name = "my block"',)),
     "a64_thousands_sep": (16, "control.csv:2", ("16 rows", "separators of thousands")),
-    "a65_missing_block_toml": (1, "folder", ("has tables and no block.toml", "write block.toml")),
+    "a65_missing_block_toml": (1, "folder", ("has tables but no block.toml", "write block.toml")),
     "a66_tables_not_listed": (1, "block.toml", ("[tables] is missing", 'rays = "rays.csv"', 'control = "control.csv"')),
     "a67_control_not_listed_file_there": (  # without it point 403 has one ray, which follows and is not told
         1,
@@ -135,7 +135,7 @@ def test_a_slip_in_a_name_is_to_be_checked(mistakes: ModuleType, tmp_path: Path)
     ("name", "cure"),
     [
         ("a19_control_names_all_prefixed", "317 for GCP317"),
-        ("a41_sigma_empty", "0 holds a coordinate"),
+        ("a41_sigma_empty", "0 fixes a coordinate"),
         ("a67_control_not_listed_file_there", 'control = "control.csv"'),
         ("a69_excel_float_names", "317 for 317.0"),
         ("a70_leading_zero_names", "0317 for 317"),

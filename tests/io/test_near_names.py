@@ -1,8 +1,7 @@
 """Names that match but for a little: what matches, under which change, and what does not."""
 
 import pytest
-from hypothesis import given, settings
-from hypothesis import strategies as st
+from hypothesis import given, settings, strategies as st
 
 from jaxbundle.io.near_names import nearest, slip
 
@@ -16,7 +15,7 @@ KNOWN = ("317", "375", "403", "1000", "tower", "Church 2", "0042")
         (["317.0", "403.0"], {"317.0": "317", "403.0": "403"}, "without the decimal '.0'"),
         (["0317"], {"0317": "317"}, "without leading zeros"),
         (["42"], {"42": "0042"}, "without leading zeros"),
-        (["TOWER", "church2"], {"TOWER": "tower", "church2": "Church 2"}, "but for upper and lower case or blanks"),
+        (["TOWER", "church2"], {"TOWER": "tower", "church2": "Church 2"}, "except for upper and lower case or blanks"),
         (["317.tif", "403.tif", "9.tif"], {"317.tif": "317", "403.tif": "403"}, "without '.tif'"),
         (["images/317.JPG", "b/375.png"], {"images/317.JPG": "317", "b/375.png": "375"}, "without the extension"),
     ],

@@ -14,7 +14,7 @@ from cases.surveyed_site import BARS, CATEGORIES, GON, PAIRS, SCALE_BARS, SETS, 
 from jaxbundle.block.block import Block, Datum, Parameter
 from jaxbundle.block.geodetic import ANGLES, LINES, PLANES, geodetic_kind
 from jaxbundle.block.navigation import ATTITUDES, GNSS
-from jaxbundle.block.observations import (
+from jaxbundle.block.observation_kinds import (
     CONTROL,
     PARAMETERS,
     STATIONS,

@@ -12,7 +12,7 @@ from cases.same_block import assert_same_group, number
 from cases.surveyed_site import PAIRS, make_surveyed_folder
 
 from jaxbundle.block.block import Block, Parameter
-from jaxbundle.block.observations import CONTROL, ObservationGroup
+from jaxbundle.block.observation_kinds import CONTROL, ObservationGroup
 from jaxbundle.block.problems import BlockError
 from jaxbundle.io import read_block_folder, write_block_folder
 
@@ -127,22 +127,22 @@ def one_set(indices: np.ndarray) -> None:
 
 
 UNWRITABLE = {
-    "values": (without_zeros, "observed values of scale_bars are not 0; the format knows sigmas of them only"),
+    "values": (without_zeros, "observed values of scale_bars are not 0; the format has only their sigmas"),
     "held orientation": (
         lambda b: with_parameter(b, "orientation of set A", free=False),
-        "parameter orientation of set A of directions is held or observed",
+        "parameter orientation of set A of directions is fixed or observed",
     ),
     "held bar": (
         lambda b: with_parameter(b, "length of bar long", free=False),
-        "length of bar long is observed and held; make it unknown",
+        "length of bar long is both observed and fixed; make it unknown",
     ),
     "shift in part": (
         lambda b: with_parameter(b, "shift Y of strip 1", free=False),
-        "the components of shift, shift X of strip 1 and its kin, are not all unknown with one sigma",
+        "the three components of shift, such as shift X of strip 1, are not all unknown with one sigma",
     ),
     "shared lever arm": (
         lambda b: with_indices(b, "stations", share_lever_arm),
-        "parameter lever_arm X of strip 1 belongs to several groups; give each group parameters of its own",
+        "parameter lever_arm X of strip 1 belongs to several groups; give each group its own parameters",
     ),
     "two stations": (
         lambda b: with_indices(b, "directions", one_set),
@@ -158,7 +158,7 @@ UNWRITABLE = {
     ),
     "held element": (
         lambda b: renamed(b, interior_free=np.zeros_like(b.structure.interior_free)),
-        "principal_distance of camera wide is observed and held; make it unknown",
+        "principal_distance of camera wide is both observed and fixed; make it unknown",
     ),
     "name of a point": (
         lambda b: renamed(b, point_names=("image:1", *b.structure.point_names[1:])),

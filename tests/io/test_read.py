@@ -59,6 +59,6 @@ def test_what_is_nothing(tmp_path: Path) -> None:
     make_small_folder(tmp_path / "a" / "b")
     assert "has no block.toml; give one of its folders: b" in told(tmp_path / "a")
     (tmp_path / "a" / "b" / "block.toml").unlink()
-    assert "has tables and no block.toml; write block.toml" in told(tmp_path / "a" / "b")
+    assert "has tables but no block.toml; write block.toml" in told(tmp_path / "a" / "b")
     (tmp_path / "bal.gz").write_bytes(b"\x1f\x8b\x08")
     assert "bal.gz is compressed (gzip), which is not read" in told(tmp_path / "bal.gz")

@@ -10,8 +10,8 @@ import pytest
 
 from jaxbundle.block.problems import BlockError
 from jaxbundle.io import export, read
-from jaxbundle.io.formats.ply import ply_vertices
-from jaxbundle.io.results.features import features_of
+from jaxbundle.io.formats.ply_files import ply_vertices
+from jaxbundle.io.results.map_features import features_of
 from jaxbundle.io.results.maps import outline
 from jaxbundle.solve.adjust import adjust
 

@@ -9,7 +9,7 @@ from cases.same_block import assert_same, group_of
 from cases.small_folder import append, change, make_small_folder, write
 
 from jaxbundle.block.geodetic import position
-from jaxbundle.block.observations import ObservationKind
+from jaxbundle.block.observation_kinds import ObservationKind
 from jaxbundle.block.problems import BlockError
 from jaxbundle.geometry.rotation import ROTATION_SYSTEMS, Scalar
 from jaxbundle.io import block_tables, read_block_folder, write_block_folder
@@ -63,8 +63,8 @@ GRADIENTS = TableSchema(
     (
         Column("from", Holds.END),
         Column("to", Holds.END),
-        Column("gradient", empty="give it"),
-        Column("sigma", Holds.SIGMA, zero="give a positive one"),
+        Column("gradient", empty="add the camera"),
+        Column("sigma", Holds.SIGMA, zero="give a positive number"),
     ),
     "Z over distance",
     lambda start, end: ObservationKind("gradients", ("gradient",), (start, end), _gradient),
@@ -90,7 +90,7 @@ LEVELS = TableSchema(
     "level {level}",
     (
         Column("level", Holds.TEXT),
-        Column("index", unit=Unit.OBJECT, empty="give it"),
+        Column("index", unit=Unit.OBJECT, empty="add the camera"),
         Column("sigma", Holds.SIGMA, Unit.OBJECT),
     ),
     "index errors",
@@ -133,7 +133,7 @@ def test_messages_about_a_further_kind(folder: Path) -> None:
         "gradients.csv:2: gradient 101 - 10Z: to 10Z is on no image and has no coordinates; measure it on an image, "
         "give it X, Y and Z in points.csv or control.csv, correct the name or drop the row",
         "gradients.csv:2: gradient 101 - 10Z: gradient is 'x', not a finite number; give a number with a decimal point",
-        "gradients.csv:2: gradient 101 - 10Z: the standard deviation sigma is 0; give a positive one",
+        "gradients.csv:2: gradient 101 - 10Z: the standard deviation sigma is 0; give a positive number",
         "tilts.csv:1: column 'image' is missing and column 'photo' is unknown; "
         "rename 'photo' to 'image'; known: level, image, point, t1, t2, s1, s2",
     ]
@@ -145,4 +145,4 @@ def test_tables_that_are_not_known(tmp_path: Path) -> None:
     with pytest.raises(BlockError) as caught:
         read_block_folder(folder)
     (line,) = caught.value.lines
-    assert line == f"block.toml:30: [tables] gradients is unknown; known here: {', '.join(TABLES)}"
+    assert line == f"block.toml:30: [tables] gradients is unknown; known tables: {', '.join(TABLES)}"

@@ -7,10 +7,10 @@ from scipy import ndimage
 
 import jaxbundle as jb
 from jaxbundle.imagery.exif import Station
-from jaxbundle.measuring.folder import write_measured
-from jaxbundle.measuring.measure import CameraGiven, MeasureOptions, measure
+from jaxbundle.measuring.measured_folder import write_measured
+from jaxbundle.measuring.measured_rays import MeasuredRays
+from jaxbundle.measuring.measurement import CameraGiven, MeasureOptions, measure
 from jaxbundle.measuring.photo_set import photo_set, read_positions
-from jaxbundle.measuring.rays import MeasuredRays
 
 GIVEN = CameraGiven(principal_distance=300.0)
 

@@ -4,11 +4,11 @@ import numpy as np
 from cases.images_in_memory import in_memory
 from cases.textures import Waves
 
-from jaxbundle.imagery.features import Features
+from jaxbundle.imagery.interest_points import Features
 from jaxbundle.imagery.match_types import Refusal
 from jaxbundle.imagery.tracks import tracks
 from jaxbundle.imagery.windows import GreyImages
-from jaxbundle.measuring.rays import measured_rays
+from jaxbundle.measuring.measured_rays import measured_rays
 from jaxbundle.measuring.verify import NEIGHBOURS, View, neighbours
 
 SHIFTS = np.array([[0.0, 0.0], [20.3, -5.6], [-11.8, 31.4]])

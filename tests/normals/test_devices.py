@@ -18,7 +18,7 @@ from jaxbundle.block.unknowns import unknowns_of
 from jaxbundle.normals.from_block import problem, to_elimination_order
 from jaxbundle.normals.plan.elimination_plan import plan_elimination
 from jaxbundle.normals.problem import OrderedUnknowns
-from jaxbundle.planning.simulate import simulate
+from jaxbundle.planning.simulation import simulate
 from jaxbundle.solve.adjust import adjust
 from jaxbundle.solve.implicit_precision import _dense, free_places
 

@@ -20,7 +20,7 @@ from jaxbundle.normals.plan.incidence import border_points
 from jaxbundle.normals.plan.tiling import SLOTS
 from jaxbundle.solve.adjust import adjust
 from jaxbundle.solve.adjustment import Status
-from jaxbundle.solve.stopping import parallax_rule
+from jaxbundle.solve.stopping_rules import parallax_rule
 
 
 def measured_again(block: Block, rays: np.ndarray, off: float = 0.7, seed: int = 0) -> Block:

@@ -15,7 +15,7 @@ from jaxtyping import Array
 import jaxbundle as jb
 from jaxbundle.block.block import Block
 from jaxbundle.normals.plan import known_plans
-from jaxbundle.planning.simulate import simulate
+from jaxbundle.planning.simulation import simulate
 
 pytestmark = pytest.mark.xdist_group("planned_once")
 
@@ -59,15 +59,15 @@ def test_robust_rounds_and_statistics_plan_nothing_again(count: list[int]):
     block = small_block().block
     rays = np.array(block.rays.coordinates)
     rays[::25] += 20 * np.asarray(block.rays.sigmas)[::25]
-    result = jb.adjust(eqx.tree_at(lambda b: b.rays.coordinates, block, jnp.asarray(rays)), robust=jb.Huber())
+    result = jb.adjust(eqx.tree_at(lambda b: b.rays.coordinates, block, jnp.asarray(rays)), robust=jb.robust.Huber())
     assert result.reweighting is not None and result.reweighting.rounds > 2
     jb.covariance_of(result, lambda b: b.object_points[3])
-    jb.variance_components(block, tolerance=0.1)
+    jb.statistics.variance_components(block, tolerance=0.1)
     assert count == [1]
 
 
 def test_a_plan_made_under_tracing_serves_outside(count: list[int]):
-    block = jb.with_datum(small_block().block)
+    block = jb.blocks.with_datum(small_block().block)
 
     def sigma0(xy: Array) -> Array:
         return jb.adjust(eqx.tree_at(lambda b: b.rays.coordinates, block, xy), precision=False).sigma0

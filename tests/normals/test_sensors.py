@@ -75,10 +75,10 @@ def test_derivative():
 def test_photographs_and_models_in_one_block():
     block: Block = point_clouds(MODEL)
     camera = block.structure.cameras[0]
-    cameras = (jb.Camera(camera.name, jb.CAMERA_MODELS["none"], "mm"), *block.structure.cameras[1:])
+    cameras = (jb.blocks.Camera(camera.name, jb.cameras.CAMERA_MODELS["none"], "mm"), *block.structure.cameras[1:])
     mixed = eqx.tree_at(lambda b: b.interior.elements, block, jnp.ones((len(cameras), 5)))
     mixed = dataclasses.replace(mixed, structure=dataclasses.replace(block.structure, cameras=cameras))
-    (problem,) = jb.validate(mixed)
+    (problem,) = jb.blocks.validate(mixed)
     assert problem.what == "cameras c0 and c7 measure different numbers of coordinates of a ray"
 
 
@@ -86,10 +86,10 @@ def test_statistics_take_any_sensor(result):
     block, point = result.block, int(np.flatnonzero(result.block.structure.point_free.all(1))[0])
     found = jb.covariance_of(result, lambda b: b.object_points[point])
     np.testing.assert_allclose(found.standard_deviations, result.standard_deviations.object_points[point], rtol=1e-7)
-    ratio = jb.reliability(result).w[0]
+    ratio = jb.statistics.reliability(result).w[0]
     assert ratio.shape == result.residuals[0].shape == (len(block.structure.ray_image), 3)
-    assert jb.plausibility(block) == () and jb.prepared(block)[0] is block
-    components = jb.variance_components(block, max_rounds=1)
+    assert jb.blocks.plausibility(block) == () and jb.blocks.prepared(block)[0] is block
+    components = jb.statistics.variance_components(block, max_rounds=1)
     assert components.names[0] == "rays of control points"
 
 
@@ -99,7 +99,7 @@ def test_what_looks_at_image_points_says_so(result, tmp_path):
     for refused in (
         lambda: jb.snoop(result),
         lambda: jb.write_report(result, tmp_path / "report"),
-        lambda: jb.parallax_rule(result.block, 1e-6),
+        lambda: jb.stopping.parallax_rule(result.block, 1e-6),
     ):
         with pytest.raises(ValueError, match="takes photographs only; the sensor 'model' .* 3 residuals per point"):
             refused()

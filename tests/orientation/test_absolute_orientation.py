@@ -8,7 +8,7 @@ import numpy as np
 import pytest
 
 from jaxbundle.geometry.rotation import from_omega_phi_kappa, to_omega_phi_kappa
-from jaxbundle.orientation.absolute_orientation import absolute_orientation
+from jaxbundle.orientation.absolute_orientations import absolute_orientation
 
 TERRAIN = np.random.default_rng(0).uniform(-1, 1, (8, 3)) * [1.0, 1.0, 0.3]
 SCALE, TRANSLATION = 850.0, np.array([400_000.0, 5_600_000.0, 250.0])

@@ -7,7 +7,7 @@ import pytest
 from cases.all_observations import observed, strip, with_parameters
 
 from jaxbundle.block.geodetic import FRAME, LINES, PLANES
-from jaxbundle.orientation.figures import with_figures
+from jaxbundle.orientation.planes_and_lines import with_figures
 
 SQUARE = np.array([[1.0, 1, 0], [-1, 1, 0], [-1, -1, 0], [1, -1, 0]])  # two equal extents
 TURNS = {

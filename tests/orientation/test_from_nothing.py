@@ -7,6 +7,7 @@ import jax.numpy as jnp
 import numpy as np
 import pytest
 from cases.bare_blocks import Bare, aerial, bare, block_of, errors, scene, without_start
+from jaxbundle.orientation.checked_start import with_checked_start
 
 import jaxbundle as jb
 from jaxbundle.block.block import Block
@@ -14,7 +15,6 @@ from jaxbundle.block.findings import Kind, Subject
 from jaxbundle.orientation import from_nothing
 from jaxbundle.orientation.approximation import Way
 from jaxbundle.orientation.robust_intersection import Rays, apart
-from jaxbundle.orientation.start import with_checked_start
 from jaxbundle.orientation.to_object import Basis
 
 SOON = 0.02  # of the distance, 1 deg: the adjustment converges from there
@@ -37,12 +37,14 @@ def with_rays(truth: Bare, keep: np.ndarray) -> Bare:
     return truth._replace(block=block, points=truth.points[used], wrong=truth.wrong[keep])
 
 
-def with_group(block: Block, kind: jb.ObservationKind, index: np.ndarray, values: np.ndarray, sigma: float) -> Block:
-    group = jb.observation_group(kind, index[:, None], values, np.full(values.shape, sigma))
+def with_group(
+    block: Block, kind: jb.observations.ObservationKind, index: np.ndarray, values: np.ndarray, sigma: float
+) -> Block:
+    group = jb.observations.observation_group(kind, index[:, None], values, np.full(values.shape, sigma))
     return dataclasses.replace(block, groups=(*block.groups, group))
 
 
-def is_right(found: jb.Approximation, truth: Bare) -> bool:
+def is_right(found: jb.orientation.Approximation, truth: Bare) -> bool:
     angle, off = errors(found.block, truth)
     return bool(found.complete and angle.max() < 1 and off.max() < SOON)
 
@@ -53,7 +55,7 @@ def strips() -> Bare:
 
 
 @pytest.fixture(scope="module")
-def found(strips) -> jb.Approximation:
+def found(strips) -> jb.orientation.Approximation:
     return jb.approximate(strips.block)
 
 
@@ -147,7 +149,7 @@ def test_control_brings_it_into_the_object_system(strips):
     given = strips.points[chosen] + [500000.0, 5000000.0, 300.0]
     wrong = given.copy()
     wrong[2] += [0.0, 300.0, 0.0]
-    found = jb.approximate(with_group(strips.block, jb.CONTROL, chosen, wrong, 0.05))
+    found = jb.approximate(with_group(strips.block, jb.observations.CONTROL, chosen, wrong, 0.05))
     assert found.parts[0].basis is Basis.ANCHORS
     off = np.asarray(found.block.exterior.projection_centre) - strips.centre - [500000.0, 5000000.0, 300.0]
     assert np.abs(off).max() < 1000 * SOON
@@ -161,7 +163,7 @@ def test_plan_and_height_control(strips):
     given = strips.points[chosen].copy()
     given[:2, 2] = np.nan
     given[2:, :2] = np.nan
-    block = with_group(strips.block, jb.CONTROL, chosen, given, 0.05)
+    block = with_group(strips.block, jb.observations.CONTROL, chosen, given, 0.05)
     found = jb.approximate(block)
     assert found.parts[0].basis is Basis.PLAN_HEIGHT
     assert np.abs(np.asarray(found.block.exterior.projection_centre) - strips.centre).max() < 1000 * 3 * SOON
@@ -170,14 +172,14 @@ def test_plan_and_height_control(strips):
 def test_stations_and_a_wrong_one(strips):
     given = strips.centre.copy()
     given[5] += [0, 0, 500.0]
-    found = jb.approximate(with_group(strips.block, jb.STATIONS, np.arange(8), given, 0.1))
+    found = jb.approximate(with_group(strips.block, jb.observations.STATIONS, np.arange(8), given, 0.1))
     assert found.parts[0].basis is Basis.ANCHORS
     assert np.abs(np.asarray(found.block.exterior.projection_centre) - strips.centre).max() < 1000 * SOON
 
 
 def test_stations_of_another_system_are_no_reason_to_mirror(strips):
     exchanged = strips.centre[:, [1, 0, 2]]
-    found = jb.approximate(with_group(strips.block, jb.STATIONS, np.arange(8), exchanged, 0.1))
+    found = jb.approximate(with_group(strips.block, jb.observations.STATIONS, np.arange(8), exchanged, 0.1))
     angles = found.block.exterior.angles
     rotation = np.stack(
         [np.asarray(x) for x in found.block.structure.rotation_system.rotation_from_angles(*np.asarray(angles).T)], 1
@@ -186,7 +188,7 @@ def test_stations_of_another_system_are_no_reason_to_mirror(strips):
 
 
 def test_equal_stations_give_no_scale(strips):
-    found = jb.approximate(with_group(strips.block, jb.STATIONS, np.arange(8), np.ones((8, 3)), 0.1))
+    found = jb.approximate(with_group(strips.block, jb.observations.STATIONS, np.arange(8), np.ones((8, 3)), 0.1))
     assert found.parts[0].basis is Basis.OWN
     assert is_right(found, strips)
 
@@ -194,7 +196,7 @@ def test_equal_stations_give_no_scale(strips):
 def test_a_straight_strip_with_stations_only_is_an_assumption():
     strip = aerial_block(1, 5, seed=4)
     straight = np.c_[strip.centre[:, 0], np.zeros(5), np.full(5, 1000.0)]  # as flown, but for some metres
-    found = jb.approximate(with_group(strip.block, jb.STATIONS, np.arange(5), straight, 0.1))
+    found = jb.approximate(with_group(strip.block, jb.observations.STATIONS, np.arange(5), straight, 0.1))
     assert found.parts[0].basis in (Basis.LINE, Basis.ANCHORS)
     down = np.asarray(found.block.exterior.projection_centre)[:, 2].mean() - np.nanmean(found.block.object_points[:, 2])
     assert down == pytest.approx(1000, rel=0.05)

@@ -12,7 +12,7 @@ from jaxbundle.orientation.two_images import eight_points, seven_points
 
 CENTRE, ANGLES = np.array([12.0, -7.0, 90.0]), np.array([0.1, -0.2, 0.7])
 INTERIOR = np.array([150.0, 1.5, -0.5, 1.0, 1.0])
-NONE = jb.CAMERA_MODELS["none"]
+NONE = jb.cameras.CAMERA_MODELS["none"]
 
 
 def rotation(angles: np.ndarray) -> np.ndarray:
@@ -29,7 +29,7 @@ def space(count: int = 12) -> np.ndarray:
 
 
 def test_direct_linear_transformation_returns_the_truth():
-    found = jb.direct_linear_transformation(space(), image(space(), 150.0, 148.0))
+    found = jb.orientation.direct_linear_transformation(space(), image(space(), 150.0, 148.0))
     np.testing.assert_allclose(found.projection_centre, CENTRE, rtol=1e-9)
     np.testing.assert_allclose(found.angles, ANGLES, rtol=1e-8)
     np.testing.assert_allclose(found.principal_distances, [150.0, 148.0], rtol=1e-9)
@@ -40,7 +40,8 @@ def test_direct_linear_transformation_returns_the_truth():
 def test_scatter_of_the_direct_linear_transformation_is_its_covariance():
     points, exact, rng = space(), image(space()), np.random.default_rng(1)
     draws = [
-        jb.direct_linear_transformation(points, exact + rng.normal(0, 0.01, exact.shape), 0.01) for _ in range(150)
+        jb.orientation.direct_linear_transformation(points, exact + rng.normal(0, 0.01, exact.shape), 0.01)
+        for _ in range(150)
     ]
     elements = np.array([[*d.principal_distances, d.skew, *d.principal_point, *d.projection_centre] for d in draws])
     predicted = np.sqrt(np.diagonal(draws[0].cofactors))[:8]
@@ -51,13 +52,13 @@ def test_scatter_of_the_direct_linear_transformation_is_its_covariance():
 def test_points_in_a_plane_are_told():
     points = space()
     points[:, 2] = 0.2 * points[:, 0]
-    found = jb.direct_linear_transformation(points, image(points))
+    found = jb.orientation.direct_linear_transformation(points, image(points))
     assert not bool(found.determined)
     assert "lie in a plane" in found.words
 
 
 def test_a_mirrored_image_is_told():
-    found = jb.direct_linear_transformation(space(), image(space()) * [1.0, -1.0])
+    found = jb.orientation.direct_linear_transformation(space(), image(space()) * [1.0, -1.0])
     assert bool(found.mirrored) and "mirrored" in found.words
 
 
@@ -71,12 +72,12 @@ def test_a_mirrored_image_is_told():
 )
 def test_bad_input(points, xy, message):
     with pytest.raises(ValueError, match=message):
-        jb.direct_linear_transformation(points, xy)
+        jb.orientation.direct_linear_transformation(points, xy)
 
 
 def test_four_points_of_a_plane():
     square = np.array([[-20.0, -15, 1], [22, -14, 1], [18, 16, 1], [-19, 15, 1]])
-    found = jb.planar_resection(NONE, INTERIOR, square, image(square))
+    found = jb.orientation.planar_resection(NONE, INTERIOR, square, image(square))
     np.testing.assert_allclose(found.better.projection_centre, CENTRE, rtol=1e-7)
     np.testing.assert_allclose(found.better.angles, ANGLES, rtol=1e-6)
     assert float(found.ratio) > 100 or not np.isfinite(float(found.ratio))
@@ -86,22 +87,22 @@ def test_a_small_plane_has_two_orientations():
     """Both are minima of the residuals; a plane of twice the size has one only."""
     square = np.array([[-3.0, -2.5, 0], [3, -3, 0], [2.5, 3, 0], [-3, 3, 0]])
     noise = np.random.default_rng(3).normal(0, 0.005, (4, 2))
-    found = jb.planar_resection(NONE, INTERIOR, square, image(square) + noise, 0.005)
+    found = jb.orientation.planar_resection(NONE, INTERIOR, square, image(square) + noise, 0.005)
     assert bool(found.better.converged) and bool(found.other.converged) and found.ratio > 5
     assert np.linalg.norm(np.asarray(found.better.projection_centre) - CENTRE) < 2
     assert np.linalg.norm(np.asarray(found.other.projection_centre) - CENTRE) > 10
-    alone = jb.planar_resection(NONE, INTERIOR, 2 * square, image(2 * square) + noise, 0.005)
+    alone = jb.orientation.planar_resection(NONE, INTERIOR, 2 * square, image(2 * square) + noise, 0.005)
     assert bool(alone.better.converged) and not bool(alone.other.converged)
 
 
 def test_points_on_a_line_or_in_space_are_no_plane():
     line = np.c_[np.arange(5.0), np.zeros((5, 2))]
     with pytest.raises(ValueError, match="on a line"):
-        jb.planar_resection(NONE, INTERIOR, line, image(line))
+        jb.orientation.planar_resection(NONE, INTERIOR, line, image(line))
     with pytest.raises(ValueError, match="not lie in a plane"):
-        jb.planar_resection(NONE, INTERIOR, space(), image(space()))
+        jb.orientation.planar_resection(NONE, INTERIOR, space(), image(space()))
     with pytest.raises(ValueError, match="3 points of a plane"):
-        jb.planar_resection(NONE, INTERIOR, space(3), image(space(3)))
+        jb.orientation.planar_resection(NONE, INTERIOR, space(3), image(space(3)))
 
 
 @pytest.mark.thorough
@@ -109,7 +110,9 @@ def test_textbook_resection(shared_data):
     """Four control points of a course in photogrammetry, all printed digits."""
     example = json.loads((shared_data / "approximate" / "resection_wuhan.json").read_text())
     points, xy = np.array(example["object_m"]), np.array(example["image_mm"])
-    found = jb.resection(NONE, np.array([example["f_mm"], 0, 0, 1, 1]), points, xy, system=ALPHA_OMEGA_KAPPA)
+    found = jb.orientation.resection(
+        NONE, np.array([example["f_mm"], 0, 0, 1, 1]), points, xy, system=ALPHA_OMEGA_KAPPA
+    )
     published = example["published"]
     np.testing.assert_allclose(found.projection_centre, [published[k] for k in ("X0", "Y0", "Z0")], atol=0.01)
     np.testing.assert_allclose(found.angles, [published[k] for k in ("phi", "omega", "kappa")], atol=1e-4)

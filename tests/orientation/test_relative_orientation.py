@@ -11,7 +11,7 @@ from jaxbundle.camera.brown import DISTORTION_FREE
 from jaxbundle.camera.forward import BAL
 from jaxbundle.geometry.rotation import from_rotation_vector
 from jaxbundle.orientation.coplanarity import Pair, Rays, parallaxes
-from jaxbundle.orientation.relative_orientation import relative_orientation
+from jaxbundle.orientation.relative_orientations import relative_orientation
 
 INTERIOR = np.array([100.0, 0.0, 0.0, 1.0, 1.0])
 BAL_INTERIOR = np.array([100.0, -0.3, 0.1])

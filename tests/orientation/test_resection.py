@@ -22,8 +22,8 @@ from jaxbundle.camera.forward import BAL
 from jaxbundle.camera.model import CameraModel
 from jaxbundle.geometry.polynomial import quartic_roots
 from jaxbundle.geometry.rotation import ALPHA_OMEGA_KAPPA, OMEGA_PHI_KAPPA
-from jaxbundle.orientation.resection import Resection, resection
-from jaxbundle.planning.simulate import exact_coordinates
+from jaxbundle.orientation.resections import Resection, resection
+from jaxbundle.planning.simulation import exact_coordinates
 from jaxbundle.solve.adjust import adjust
 from jaxbundle.solve.adjustment import Status
 

@@ -12,8 +12,8 @@ from cases.mistaken_folders import made
 import jaxbundle as jb
 from jaxbundle.block.block import Block
 from jaxbundle.block.findings import Finding, Kind, Severity, Subject
+from jaxbundle.orientation.checked_start import with_checked_start
 from jaxbundle.orientation.sight import HALF, off, sight_of
-from jaxbundle.orientation.start import with_checked_start
 
 DATA_SETS = (
     "strasbourg-s1-fixed",
@@ -80,7 +80,7 @@ def test_a_turned_image_is_resected(simulated):
 
 def test_all_images_at_the_origin_are_resected(simulated):
     nothing = eqx.tree_at(
-        lambda b: b.exterior, simulated, jb.ExteriorOrientation(*(jnp.zeros((8, 3)) for _ in range(2)))
+        lambda b: b.exterior, simulated, jb.blocks.ExteriorOrientation(*(jnp.zeros((8, 3)) for _ in range(2)))
     )
     checked, (replaced,) = with_checked_start(nothing)
     assert replaced.kind is Kind.REPAIRED

@@ -8,7 +8,7 @@ import numpy as np
 import pytest
 
 from jaxbundle.geometry.rotation import from_quaternion, from_rotation_vector
-from jaxbundle.orientation.three_point_resection import three_point_resection
+from jaxbundle.orientation.three_point_resections import three_point_resection
 
 over_images = jax.jit(jax.vmap(three_point_resection))
 

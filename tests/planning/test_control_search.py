@@ -6,7 +6,7 @@ import numpy as np
 import pytest
 from cases.schematic_flights import UNIT
 
-from jaxbundle.planning.candidates import Candidates, candidates_of, ground_sigma
+from jaxbundle.planning.control_candidates import Candidates, candidates_of, ground_sigma
 from jaxbundle.planning.control_search import (
     Objective,
     best_layout,
@@ -18,8 +18,8 @@ from jaxbundle.planning.control_search import (
     value_of,
 )
 from jaxbundle.planning.flight import ControlSet, schematic
-from jaxbundle.planning.predict import predict
-from jaxbundle.planning.simulate import simulate_flight
+from jaxbundle.planning.prediction import predict
+from jaxbundle.planning.simulation import simulate_flight
 
 
 @pytest.fixture(scope="module")

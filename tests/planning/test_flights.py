@@ -7,7 +7,7 @@ import numpy as np
 import pytest
 
 from jaxbundle.block.navigation import ATTITUDES, GNSS
-from jaxbundle.block.observations import CONTROL
+from jaxbundle.block.observation_kinds import CONTROL
 from jaxbundle.planning.flight import (
     AerialCamera,
     ControlSet,
@@ -21,7 +21,7 @@ from jaxbundle.planning.flight import (
 )
 from jaxbundle.planning.ground import ground_points, inside
 from jaxbundle.planning.lines import frame_of, stations_of
-from jaxbundle.planning.simulate import simulate_flight
+from jaxbundle.planning.simulation import simulate_flight
 from jaxbundle.planning.terrain import grid_heights, slope, waves
 
 AREA = ((0.0, 0.0), (6000.0, 500.0), (5000.0, 4000.0), (-500.0, 3500.0))

@@ -6,10 +6,10 @@ from cases.schematic_flights import block_plan, gnss_plan, heights
 
 import jaxbundle as jb
 from jaxbundle.planning.flight import ControlSet, FlightPlan, Ties, schematic
-from jaxbundle.planning.monte_carlo import monte_carlo
-from jaxbundle.planning.predict import predict
-from jaxbundle.planning.sensitivity import sensitivity
-from jaxbundle.planning.simulate import simulate_flight
+from jaxbundle.planning.monte_carlo_runs import monte_carlo
+from jaxbundle.planning.prediction import predict
+from jaxbundle.planning.sensitivities import sensitivity
+from jaxbundle.planning.simulation import simulate_flight
 
 pytestmark = pytest.mark.thorough
 
@@ -67,7 +67,7 @@ def test_a_longer_principal_distance_does_what_its_derivative_says(truth, point,
         jb.Block(
             truth.structure,
             truth.exterior,
-            jb.InteriorOrientation(elements.at[0, 0].add(0.001)),
+            jb.blocks.InteriorOrientation(elements.at[0, 0].add(0.001)),
             truth.object_points,
             truth.rays,
             truth.groups,

@@ -17,10 +17,10 @@ from jaxbundle.planning.accuracy import (
     smooth_worst,
     summary_of,
 )
-from jaxbundle.planning.design import Stretch, derivatives_of, steepest_positions, stretched
+from jaxbundle.planning.design_derivatives import Stretch, derivatives_of, steepest_positions, stretched
 from jaxbundle.planning.flight import ControlSet, FlightPlan, Navigation, Terrain, Ties
-from jaxbundle.planning.predict import predict
-from jaxbundle.planning.simulate import simulate_flight
+from jaxbundle.planning.prediction import predict
+from jaxbundle.planning.simulation import simulate_flight
 from jaxbundle.solve.adjust import adjust
 
 
@@ -74,7 +74,7 @@ def test_what_is_not_determined_is_told():
     plan = FlightPlan(
         2,
         4,
-        camera=jb.AerialCamera(estimate=("principal_distance", "x0", "y0")),
+        camera=jb.planning.AerialCamera(estimate=("principal_distance", "x0", "y0")),
         terrain=Terrain(),
         tilt=0.0,
         scatter=0.0,

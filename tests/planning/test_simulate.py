@@ -4,13 +4,13 @@ import numpy as np
 import pytest
 from cases.simulated_blocks import CAMERA, small_block
 
-from jaxbundle.block.observations import CONTROL, STATIONS
+from jaxbundle.block.observation_kinds import CONTROL, STATIONS
 from jaxbundle.block.residuals import group_residuals, observations_of, ray_residuals
 from jaxbundle.block.unknowns import unknowns_of
 from jaxbundle.block.validate import validate
 from jaxbundle.diagnosis.sigmas import global_test
 from jaxbundle.planning.flight import AerialCamera
-from jaxbundle.planning.simulate import exact_coordinates, simulate
+from jaxbundle.planning.simulation import exact_coordinates, simulate
 from jaxbundle.solve.adjust import adjust
 
 

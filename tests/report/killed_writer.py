@@ -10,7 +10,7 @@ import warnings
 from collections.abc import Callable
 from pathlib import Path
 
-from jaxbundle.report import folder
+from jaxbundle.report import result_folder
 
 STEPS = {os: ("mkdir", "rename", "replace", "unlink", "rmdir", "fsync", "open", "listdir"), folder: ("_exchange",)}
 KILLED = 9
@@ -20,8 +20,8 @@ NEW += ["report.json", "report.txt"]
 
 def write(target: Path, names: list[str], content: str) -> None:
     """A report whose files all have the same content."""
-    folder.require_writable(target, names, 1000)
-    with folder.replaced(target, names) as place:
+    result_folder.require_writable(target, names, 1000)
+    with result_folder.replaced(target, names) as place:
         for name in names:
             text = json.dumps({"content": content, "files": names}) if name == "report.json" else content
             (place / name).write_text(text)

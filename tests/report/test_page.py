@@ -21,9 +21,9 @@ from jaxbundle.report.html.axes import Axes, log_limits, plan_axes
 from jaxbundle.report.html.page import html_of
 from jaxbundle.report.html.raster import VIRIDIS, png, viridis
 from jaxbundle.report.made import Made, input_files, made_now, made_section
-from jaxbundle.report.pictures import network, points, rays, vectors
+from jaxbundle.report.pictures import network, point_pictures, ray_pictures, vector_pictures
 from jaxbundle.report.pictures.known import nice
-from jaxbundle.report.pictures.plan import plan
+from jaxbundle.report.pictures.plan_picture import plan
 from jaxbundle.report.section import Chapter
 from jaxbundle.report.sections import sections_of
 from jaxbundle.solve.adjust import adjust
@@ -155,31 +155,31 @@ def test_plan_has_the_roles_and_the_outlines(figures):
 
 
 def test_vectors_and_the_test_from_outside(adjustment, figures):
-    check = vectors.check_vectors(figures)
+    check = vector_pictures.check_vectors(figures)
     np.testing.assert_allclose(check.difference, adjustment.check_differences)
     np.testing.assert_allclose(np.abs(check.difference) / check.expected, np.abs(check.ratio))
-    total, count, probability = vectors.external_test(check)
+    total, count, probability = vector_pictures.external_test(check)
     assert count == 9 and total == pytest.approx(float((check.ratio**2).sum())) and 0.001 < probability < 1
-    found = vectors.spread(check)
+    found = vector_pictures.spread(check)
     assert found.rms[2] == pytest.approx(float(np.sqrt(np.mean(np.square(adjustment.check_differences[:, 2])))))
-    control = vectors.control_vectors(figures)
+    control = vector_pictures.control_vectors(figures)
     np.testing.assert_allclose(control.difference[:, :2], adjustment.residuals[1][:, :2])
-    factor = vectors.arrow_factor([control, check], 1000.0)
+    factor = vector_pictures.arrow_factor([control, check], 1000.0)
     longest = max(np.nanmax(np.abs(v.difference)) for v in (control, check))
     assert 1000 / 8 / 2.5 < factor * longest <= 1000 / 8
 
 
 def test_residuals_by_class_image_and_cell(adjustment, figures):
     count = len(figures.structure.ray_image)
-    histogram = rays.residual_histogram(figures)
+    histogram = ray_pictures.residual_histogram(figures)
     assert histogram.counts.sum(1).tolist() == [count, count]
-    w = rays.standardised(figures)
+    w = ray_pictures.standardised(figures)
     inside = (w[:, 0] >= 0) & (w[:, 0] < histogram.edges[31])
     assert histogram.counts[0, 30] == inside.sum()
-    of_images = rays.image_figures(figures)
+    of_images = ray_pictures.image_figures(figures)
     v = np.asarray(adjustment.residuals[0])[figures.structure.ray_image == 3]
     np.testing.assert_allclose(of_images.rms[3], np.sqrt((v**2).mean(0)))
-    field = rays.residual_field(figures, 0)
+    field = ray_pictures.residual_field(figures, 0)
     assert field.rays.sum() == count
     np.testing.assert_allclose((field.mean * field.rays[:, None]).sum(0), figures.residuals[0].sum(0), atol=1e-9)
     assert field.probability > 0.001
@@ -188,7 +188,7 @@ def test_residuals_by_class_image_and_cell(adjustment, figures):
 def test_a_planted_distortion_shows_in_the_field(figures):
     """Residuals that point outwards give a mean field that does, and one that is not zero."""
     xy = np.asarray(figures.adjustment.block.rays.coordinates)
-    left, low, right, high = rays.image_format(figures, 0)
+    left, low, right, high = ray_pictures.image_format(figures, 0)
     outwards = (xy - [(left + right) / 2, (low + high) / 2]) * [1.0, -1.0] / 3000  # y of residuals points up
     planted = dataclasses.replace(
         figures,
@@ -196,17 +196,20 @@ def test_a_planted_distortion_shows_in_the_field(figures):
         reliability=None,
         normalised=(4 * outwards, *figures.normalised[1:]),
     )
-    field = rays.residual_field(planted, 0)
+    field = ray_pictures.residual_field(planted, 0)
     across, up = field.x - (left + right) / 2, (low + high) / 2 - field.y
     assert (field.mean[:, 0] * across + field.mean[:, 1] * up > 0).all() and field.probability < 1e-6
 
 
 def test_maps_and_connections(figures):
-    found = points.precision_map(figures, "Z")
+    found = point_pictures.precision_map(figures, "Z")
     sd = figures.points_sd[:, 2]
     assert np.nanmin(found.median) >= sd[sd > 0].min() and np.nanmax(found.median) <= sd.max()
-    assert points._medians(np.array([0, 0, 2, 0]), np.array([3.0, 1.0, 5.0, 2.0]), 3)[[0, 2]].tolist() == [2.0, 5.0]
-    counts = points.ray_counts(figures)
+    assert point_pictures._medians(np.array([0, 0, 2, 0]), np.array([3.0, 1.0, 5.0, 2.0]), 3)[[0, 2]].tolist() == [
+        2.0,
+        5.0,
+    ]
+    counts = point_pictures.ray_counts(figures)
     assert counts.points.sum() == (figures.rays_of_point > 0).sum()
     structure, linked = figures.structure, network.connections(figures)
     for (a, b), number in zip(linked.pairs, linked.common, strict=True):

@@ -19,7 +19,7 @@ from jaxbundle.report.comparison_report import comparison_html, comparison_text
 from jaxbundle.report.data import dict_of
 from jaxbundle.report.figures import figures_of
 from jaxbundle.report.files import write_report
-from jaxbundle.report.ply import POINT
+from jaxbundle.report.point_cloud import POINT
 from jaxbundle.report.sections import sections_of
 from jaxbundle.solve.adjust import adjust
 
@@ -161,7 +161,7 @@ def test_new_axes_and_wrong_arguments(result):
 
 
 def test_point_cloud(result, tmp_path):
-    content = jb.to_ply(result, tmp_path / "points.ply", stations=tmp_path / "stations.ply").read_bytes()
+    content = jb.report.to_ply(result, tmp_path / "points.ply", stations=tmp_path / "stations.ply").read_bytes()
     header, _, body = content.partition(b"end_header\n")
     offset = np.array(header.split(b"offset to be added: ")[1].split(b"\n")[0].split(), float)
     rows = np.frombuffer(body, POINT)
@@ -215,7 +215,7 @@ def test_two_results_of_one_block(report):
 def test_results_that_have_nothing_in_common(report):
     with pytest.raises(ValueError, match="different units"):
         compare_reports(report, {**report, "units": {"object": "ft", "angle": "deg"}})
-    with pytest.raises(ValueError, match="no point, image or camera of the same name"):
+    with pytest.raises(ValueError, match="no point, image or camera with the same name"):
         compare_reports(report, {"units": report["units"]})
 
 

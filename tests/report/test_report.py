@@ -182,14 +182,14 @@ def test_text_opens_with_findings_and_fits_the_page(adjustment):
     assert titles[4:] == [
         "Cameras: estimated elements",
         "Object points",
-        "Control points: adjusted less observed [m]",
-        "Stations: computed less observed",
-        "Check points: adjusted less known",
-        "Rays of the largest |w|/sigma0",
+        "Control points: adjusted - observed [m]",
+        "Stations: computed - observed",
+        "Check points: adjusted - known",
+        "Rays with the largest |w|/sigma0",
         *titles[10:],
     ]
     unknown = adjustment.block.structure.point_free.any(1).sum()
-    assert f"the first 50 of {unknown} points; the tables hold all" in text
+    assert f"the first 50 of {unknown} points; the tables contain all" in text
     assert f"{float(adjustment.sigma0):.6g} a posteriori" in text
 
 
@@ -204,7 +204,7 @@ def test_columns():
     assert aligned([("a", "10"), ("bcd", "2")]) == ["  a    10", "  bcd   2"]
     assert [decimals(np.array(sd)) for sd in ([0.012, 0.0], [3.4], [np.nan], [1e-15])] == [3, 1, 4, 9]
     assert short("x" * 18) == "x" * 18 and len(short("x" * 19)) == 18
-    assert first(np.arange(3), 1, "points")[1] == "... the first 1 of 3 points; the tables hold all"
+    assert first(np.arange(3), 1, "points")[1] == "... the first 1 of 3 points; the tables contain all"
 
 
 # The folder

@@ -14,7 +14,7 @@ from cases.surveyed_site import BARS, GON, PAIRS, make_surveyed_folder
 
 from jaxbundle.block.block import Datum
 from jaxbundle.block.findings import Kind, Subject
-from jaxbundle.block.observations import ObservationKind, observation_group
+from jaxbundle.block.observation_kinds import ObservationKind, observation_group
 from jaxbundle.diagnosis.adjusted import findings
 from jaxbundle.io import read_block_folder
 from jaxbundle.report import files, report_dict, report_text, write_report
@@ -87,7 +87,7 @@ def test_finds_correlated_parameters(adjustment) -> None:
 
     changed = with_parameter_cofactors(adjustment, correlate)
     (sentence,) = [sentence for sentence in words(changed) if "shift X of strip 1 and shift Z" in sentence]
-    assert "by -0.980; hold one of each pair, or give it a value with a sigma" in sentence
+    assert "by -0.980; fix one of each pair, or give it a value with a sigma" in sentence
     assert "-0.9800" in report_text(changed)
     (pair,) = report_dict(changed)["high_parameter_correlations"]
     assert pair == ["shift X of strip 1", "shift Z of strip 1", pytest.approx(-0.98)]
@@ -182,8 +182,8 @@ def test_text_fits_the_page_and_counts_parameters(adjustment) -> None:
     assert f"(images 24, cameras 1, parameters {free}, points " in text
     for title in (
         "Parameters",
-        "Zenith angles: computed less observed [gon]",
-        "Interior priors: computed less observed",
+        "Zenith angles: computed - observed [gon]",
+        "Interior priors: computed - observed",
     ):
         assert f"\n{title}\n" in text
     assert "orientation of set C" in text and "image:022" in text
@@ -203,7 +203,7 @@ def test_robust_weights(simple, tmp_path) -> None:
     low = robust(simple, weights)
     text = report_text(low)
     assert f"Robust weights       huber, limit 2.45; 2 of {len(weights)} rays below 0.5 after 7 rounds" in text
-    assert "\nRays of a robust weight below 0.5\n" in text
+    assert "\nRays with a robust weight below 0.5\n" in text
     names = [
         (structure.image_names[structure.ray_image[ray]], structure.point_names[structure.ray_point[ray]])
         for ray in (8, 3)

@@ -12,8 +12,8 @@ import pytest
 
 from jaxbundle.numerics import whole_files
 from jaxbundle.numerics.whole_files import marked_name, remnants
-from jaxbundle.report import folder
-from jaxbundle.report.folder import replaced, require_writable, tidy
+from jaxbundle.report import result_folder
+from jaxbundle.report.result_folder import replaced, require_writable, tidy
 
 ROOT = Path(__file__).parents[2]
 NAMES = ["points.csv", "report.json", "report.txt"]
@@ -43,7 +43,7 @@ def test_the_place_is_tried_before_the_work(tmp_path, monkeypatch):
     (tmp_path / "dangling").symlink_to(tmp_path / "nowhere")
     for target, words in (
         (tmp_path / "file", "is a file; give a folder"),
-        (tmp_path / "file" / "below", "is a file, so that the folder .* cannot be made below it; give another folder"),
+        (tmp_path / "file" / "below", "is a file, so the folder .* cannot be created below it; give another folder"),
         (tmp_path / "dangling", "is a link to .*nowhere, which does not exist; give another folder"),
         (tmp_path / ("x" * 300), "File name too long|the name is too long"),
     ):
@@ -51,7 +51,7 @@ def test_the_place_is_tried_before_the_work(tmp_path, monkeypatch):
             require_writable(target, NAMES, 1000)
     for code, words in (
         (errno.EROFS, "the file system is read-only"),
-        (errno.EACCES, "you may not write there"),
+        (errno.EACCES, "no permission to write there"),
         (errno.ENOSPC, "no space is left there"),
     ):
 
@@ -67,9 +67,9 @@ def test_the_place_is_tried_before_the_work(tmp_path, monkeypatch):
 
 def test_space_is_looked_at_before_the_work(tmp_path, monkeypatch):
     usage = namedtuple("usage", "total used free")
-    monkeypatch.setattr(folder.shutil, "disk_usage", lambda _: usage(10**9, 10**9, 2_000_000))
+    monkeypatch.setattr(result_folder.shutil, "disk_usage", lambda _: usage(10**9, 10**9, 2_000_000))
     require_writable(tmp_path / "new", NAMES, 1_000_000)
-    with pytest.raises(OSError, match="the results take about 3 MB, but 2 MB are free in .*; give another folder"):
+    with pytest.raises(OSError, match="the results need about 3 MB, but 2 MB are free in .*; give another folder"):
         require_writable(tmp_path / "new", NAMES, 3_000_000)
 
 
@@ -97,7 +97,7 @@ def test_a_link_to_a_folder_stays_a_link(tmp_path):
 
 @posix
 def test_without_an_exchange_of_names(tmp_path, monkeypatch):
-    monkeypatch.setattr(folder.ctypes, "CDLL", lambda *_, **__: object())
+    monkeypatch.setattr(result_folder.ctypes, "CDLL", lambda *_, **__: object())
     write(tmp_path / "results", "old")
     (tmp_path / "results" / "mine").touch()
     write(tmp_path / "results", "new")

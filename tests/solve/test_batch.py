@@ -12,7 +12,7 @@ from jaxbundle.block.block import Block
 from jaxbundle.block.datum import with_datum
 from jaxbundle.block.findings import Finding, Kind
 from jaxbundle.block.problems import BlockError
-from jaxbundle.planning.simulate import simulate
+from jaxbundle.planning.simulation import simulate
 from jaxbundle.solve import batch as module
 from jaxbundle.solve.adjust import adjust
 from jaxbundle.solve.adjustment import Status

@@ -15,7 +15,7 @@ import jaxbundle as jb
 from jaxbundle.solve import implicit_precision
 from jaxbundle.solve.implicit import Derivatives
 
-SHARP = jb.AngleRule(1e-13)  # differences need the digits
+SHARP = jb.stopping.AngleRule(1e-13)  # differences need the digits
 LEAVES = {  # what is varied, and by how much at once
     "measured": (lambda b: b.rays.coordinates, 0.1 * SIGMA),
     "ray sigmas": (lambda b: b.rays.sigmas, 0.005 * SIGMA),
@@ -27,7 +27,7 @@ LEAVES = {  # what is varied, and by how much at once
     "constant": (lambda b: b.groups[2].constants, 1e-5),
 }
 RNG = np.random.default_rng(5)
-BLOCK = jb.with_datum(bent_block(noise=3.0))
+BLOCK = jb.blocks.with_datum(bent_block(noise=3.0))
 DIRECTIONS = {name: jnp.asarray(step * RNG.standard_normal(get(BLOCK).shape)) for name, (get, step) in LEAVES.items()}
 
 
@@ -179,7 +179,7 @@ def test_no_derivative_without_a_minimum():
 def test_what_has_no_derivatives_says_so():
     def robust(shift: float) -> Array:
         moved = eqx.tree_at(lambda b: b.rays.coordinates, BLOCK, BLOCK.rays.coordinates + shift)
-        return jb.adjust(moved, robust=jb.Huber()).sigma0
+        return jb.adjust(moved, robust=jb.robust.Huber()).sigma0
 
     with pytest.raises(ValueError, match="robust estimation chooses its weights outside"):
         jax.grad(robust)(0.0)
@@ -189,7 +189,7 @@ def test_what_has_no_derivatives_says_so():
 
 def test_the_datum_is_chosen_under_grad_but_not_under_jit():
     """Under grad alone the values are known."""
-    structure = dataclasses.replace(BLOCK.structure, datum=jb.Datum("open"))
+    structure = dataclasses.replace(BLOCK.structure, datum=jb.blocks.Datum("open"))
     bare = dataclasses.replace(BLOCK, structure=structure, groups=())
 
     def sigma0(factor: float) -> Array:
@@ -201,7 +201,7 @@ def test_the_datum_is_chosen_under_grad_but_not_under_jit():
 
 
 def test_a_free_network_says_why_it_has_none():
-    structure = dataclasses.replace(BLOCK.structure, datum=jb.Datum("inner"))
+    structure = dataclasses.replace(BLOCK.structure, datum=jb.blocks.Datum("inner"))
     free = dataclasses.replace(BLOCK, structure=structure, groups=())
 
     def height(factor: float) -> Array:

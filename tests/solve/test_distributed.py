@@ -124,7 +124,7 @@ def test_a_cluster_that_does_not_meet(tmp_path: Path) -> None:
     ]
     ((code, output),) = together([[*command, "--process", "1"]])
     assert code == 2
-    assert "process 1 of 2 did not meet all others" in output
+    assert "process 1 of 2 could not connect to the others" in output
 
 
 LOST = """
@@ -154,14 +154,14 @@ def test_the_end_of_a_lost_cluster_is_a_sentence(script: str, code: int, words: 
 
 def test_processes_that_were_told_another_number_say_so() -> None:
     runtime._require_count(Cluster("10.0.0.1:4000", 1, 0))
-    with pytest.raises(typer.BadParameter, match="--processes 3 here, but process 0 was told 1; give all the same"):
+    with pytest.raises(typer.BadParameter, match="--processes 3 here, but 1 for process 0; give the same number"):
         runtime._require_count(Cluster("10.0.0.1:4000", 3, 1))
 
 
 def test_a_lost_process_is_bad_input_not_an_error_of_the_program() -> None:
     code, words = told(LostProcess(RuntimeError("Connection closed by peer\nmore")))
     assert code is Code.BAD_INPUT
-    assert "was lost (Connection closed by peer); see what it said, and start all of them again" in words
+    assert "was lost (Connection closed by peer); see its message, and start all processes again" in words
 
 
 @pytest.mark.parametrize(

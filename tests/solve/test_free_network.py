@@ -13,7 +13,7 @@ from cases.simulated_blocks import small_block
 
 from jaxbundle.block.block import Block
 from jaxbundle.block.geodetic import DISTANCES
-from jaxbundle.block.observations import observation_group
+from jaxbundle.block.observation_kinds import observation_group
 from jaxbundle.block.problems import BlockError
 from jaxbundle.solve.adjust import adjust
 

@@ -11,7 +11,7 @@ from cases.simulated_blocks import small_block
 from jaxtyping import Float, Int
 
 from jaxbundle.block.block import Block, ExteriorOrientation
-from jaxbundle.block.observations import GroupStructure, ObservationGroup
+from jaxbundle.block.observation_kinds import GroupStructure, ObservationGroup
 from jaxbundle.geometry.rotation import ALPHA_OMEGA_KAPPA
 from jaxbundle.solve.adjust import adjust
 from jaxbundle.solve.adjustment import Adjustment

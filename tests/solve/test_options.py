@@ -12,15 +12,14 @@ from cases.simulated_blocks import small_block
 from jaxtyping import Array
 
 import jaxbundle as jb
-from jaxbundle.solve import adjust as solve_adjust
-from jaxbundle.solve import batch
+from jaxbundle.solve import adjust as solve_adjust, batch
 from jaxbundle.solve.options import Choices
 from jaxbundle.statistics import components, snooping
 
 pytestmark = pytest.mark.xdist_group("options")
 ALL: Choices = {  # every option, none of them as by default
     "method": "gauss-newton",
-    "stop": jb.PointRule(1e-5),
+    "stop": jb.stopping.PointRule(1e-5),
     "max_iterations": 40,
     "precision": True,
     "engine": "block",
@@ -46,7 +45,7 @@ def robust(block: jb.Block) -> jb.Adjustment:
     """Of a block with some gross errors, so that its weights are not those given."""
     rays = np.array(block.rays.coordinates)
     rays[::17] += 30 * np.asarray(block.rays.sigmas)[::17]
-    return jb.adjust(eqx.tree_at(lambda b: b.rays.coordinates, block, jnp.asarray(rays)), robust=jb.Huber())
+    return jb.adjust(eqx.tree_at(lambda b: b.rays.coordinates, block, jnp.asarray(rays)), robust=jb.robust.Huber())
 
 
 def test_keywords_and_fields_are_the_same():
@@ -68,7 +67,7 @@ def test_they_are_taken_over_and_single_ones_changed(block: jb.Block, result: jb
 
 
 def test_a_robust_adjustment_keeps_its_weight_function(robust: jb.Adjustment):
-    assert eqx.tree_equal(robust.options.robust, jb.Huber())
+    assert eqx.tree_equal(robust.options.robust, jb.robust.Huber())
 
 
 @pytest.fixture
@@ -90,7 +89,7 @@ def test_snooping_keeps_them(block: jb.Block, given: list[jb.Options]):
     rays = np.array(block.rays.coordinates)
     rays[40] += 40 * np.asarray(block.rays.sigmas)[40]
     spoilt = eqx.tree_at(lambda b: b.rays.coordinates, block, jnp.asarray(rays))
-    rule = jb.unknown_rule(spoilt, 1e-6, ("1_01", "X0"))
+    rule = jb.stopping.unknown_rule(spoilt, 1e-6, ("1_01", "X0"))
     start = jb.adjust(spoilt, dataclasses.replace(jb.Options(**ALL), stop=rule))
     found = jb.snoop(start)
     assert found.removed and len(given) == len(found.removed)
@@ -99,7 +98,7 @@ def test_snooping_keeps_them(block: jb.Block, given: list[jb.Options]):
 
 
 def test_variance_components_keep_them(block: jb.Block, result: jb.Adjustment, given: list[jb.Options]):
-    found = jb.variance_components(block, options=result.options, tolerance=0.1)
+    found = jb.statistics.variance_components(block, options=result.options, tolerance=0.1)
     assert len(given) == found.rounds + 1
     assert all(eqx.tree_equal(options, result.options) for options in given)
 
@@ -113,7 +112,7 @@ def test_many_adjustments_keep_them(block: jb.Block, result: jb.Adjustment, give
 def test_the_rule_of_one_block_serves_another(block: jb.Block):
     """A rule by names or by pairs of rays holds no numbers of the block it was made for."""
     other = jb.simulate(1, 3, points_per_image=20, seed=3).block
-    for rule in (jb.parallax_rule(block, 1e-7), jb.unknown_rule(block, 1e-6)):
+    for rule in (jb.stopping.parallax_rule(block, 1e-7), jb.stopping.unknown_rule(block, 1e-6)):
         assert not jax.tree.leaves(rule)
         assert jb.adjust(other, stop=rule, precision=False).trustworthy
 
@@ -123,16 +122,16 @@ def test_wrong_options_are_told(block: jb.Block):
         jb.adjust(block, methods="gauss-newton")  # pyright: ignore[reportCallIssue]
     with pytest.raises(TypeError, match="adjust takes Options, not str"):
         jb.adjust(block, "gauss-newton")  # pyright: ignore[reportArgumentType]
-    with pytest.raises(TypeError, match=r"a stopping rule, such as jb.AngleRule\(\), not 'angle'"):
+    with pytest.raises(TypeError, match=r"a stopping rule, such as jb.stopping.AngleRule\(\), not 'angle'"):
         jb.Options(stop="angle")  # pyright: ignore[reportArgumentType]
-    with pytest.raises(TypeError, match=r"a weight function, such as jb.Huber\(\), not 'huber'"):
+    with pytest.raises(TypeError, match=r"a weight function, such as jb.robust.Huber\(\), not 'huber'"):
         jb.Options(robust="huber")  # pyright: ignore[reportArgumentType]
     with pytest.raises(ValueError, match="no method 'newton'"):
         jb.Options(method="newton")
 
 
 def test_an_adjustment_with_its_options_goes_through_jit_and_vmap(block: jb.Block):
-    block = jb.with_datum(block)
+    block = jb.blocks.with_datum(block)
 
     def adjusted(xy: Array) -> jb.Adjustment:
         return jb.adjust(eqx.tree_at(lambda b: b.rays.coordinates, block, xy), precision=False)
@@ -146,7 +145,7 @@ def test_an_adjustment_with_its_options_goes_through_jit_and_vmap(block: jb.Bloc
 
 @pytest.mark.parametrize("name", ["status", "trustworthy", "verdict"])
 def test_a_traced_adjustment_tells_no_status(block: jb.Block, name: str):
-    block = jb.with_datum(block)
+    block = jb.blocks.with_datum(block)
 
     def asked(xy: Array) -> Array:
         found = jb.adjust(eqx.tree_at(lambda b: b.rays.coordinates, block, xy), precision=False)
@@ -167,13 +166,13 @@ def test_statistics_have_the_weights_of_the_last_round(robust: jb.Adjustment):
     points = np.arange(10, 14)
     found = jb.covariance_of(robust, lambda b: b.object_points[points])
     np.testing.assert_allclose(found.standard_deviations, sd[points], rtol=1e-7)
-    ellipsoids = jb.error_ellipsoids(robust)
+    ellipsoids = jb.statistics.error_ellipsoids(robust)
     np.testing.assert_allclose(np.sum(ellipsoids.semi_axes**2, 1), np.sum(sd**2, 1), rtol=1e-9)
-    ours, theirs = jb.reliability(robust), jb.reliability(plain)
+    ours, theirs = jb.statistics.reliability(robust), jb.statistics.reliability(plain)
     for name in ("redundancy_numbers", "minimal_detectable", "external"):
         for a, b in zip(getattr(ours, name), getattr(theirs, name), strict=True):
             np.testing.assert_allclose(a, b, rtol=1e-4, atol=1e-6, err_msg=name)
-    ratios, of_plain = jb.control_influence(robust), jb.control_influence(plain)
+    ratios, of_plain = jb.statistics.control_influence(robust), jb.statistics.control_influence(plain)
     np.testing.assert_allclose(ratios.together.largest, of_plain.together.largest, rtol=1e-5)
 
 

@@ -11,10 +11,10 @@ from cases.simulated_blocks import small_block
 
 from jaxbundle.block.block import Block, ExteriorOrientation, InteriorOrientation
 from jaxbundle.block.unknowns import Unknowns, angles_near
-from jaxbundle.planning.simulate import simulate
+from jaxbundle.planning.simulation import simulate
 from jaxbundle.solve.adjust import adjust
 from jaxbundle.solve.adjustment import Adjustment, Status
-from jaxbundle.solve.stopping import AngleRule, PointRule, parallax_rule, unknown_rule
+from jaxbundle.solve.stopping_rules import AngleRule, PointRule, parallax_rule, unknown_rule
 
 
 @pytest.fixture(scope="module")

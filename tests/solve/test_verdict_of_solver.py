@@ -12,12 +12,12 @@ from jaxbundle.block.block import Block, Datum, Structure
 from jaxbundle.block.datum import with_datum
 from jaxbundle.block.datum_precision import datum_precision, weak_datum
 from jaxbundle.block.findings import Kind, Severity
-from jaxbundle.block.observations import CONTROL, observation_group
+from jaxbundle.block.observation_kinds import CONTROL, observation_group
 from jaxbundle.block.parts import parts_of
 from jaxbundle.block.problems import BlockError
 from jaxbundle.io.block_folder import read_block_folder
 from jaxbundle.numerics.conjugate_gradients import softest_direction
-from jaxbundle.planning.simulate import simulate
+from jaxbundle.planning.simulation import simulate
 from jaxbundle.solve.adjust import adjust
 from jaxbundle.solve.adjustment import Status
 from jaxbundle.solve.levenberg_marquardt import FLAT, is_flat

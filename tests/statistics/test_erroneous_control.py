@@ -9,9 +9,9 @@ import numpy as np
 import pytest
 from cases.dense_adjustment import centred, dense_system
 
-from jaxbundle.planning.simulate import exact_coordinates
+from jaxbundle.planning.simulation import exact_coordinates
 from jaxbundle.solve.adjust import adjust
-from jaxbundle.statistics.influence import Influence, influence
+from jaxbundle.statistics.control_errors import Influence, influence
 from jaxbundle.statistics.subsets import all_control
 
 EXAMPLE = Path(__file__).parents[2] / "examples" / "04_erroneous_control.py"

@@ -17,7 +17,7 @@ from jaxbundle.block.block import Block
 from jaxbundle.block.datum import with_datum
 from jaxbundle.solve.adjust import adjust
 from jaxbundle.solve.adjustment import Adjustment
-from jaxbundle.statistics.influence import NEGLIGIBLE, control_influence, influence
+from jaxbundle.statistics.control_errors import NEGLIGIBLE, control_influence, influence
 from jaxbundle.statistics.subsets import (
     Subset,
     all_control,

@@ -8,7 +8,7 @@ from cases.dense_adjustment import centred, dense_cofactors
 from cases.free_networks import free_network, inner
 
 from jaxbundle.solve.adjust import adjust
-from jaxbundle.statistics.precision import covariance_of, error_ellipses, error_ellipsoids
+from jaxbundle.statistics.covariance import covariance_of, error_ellipses, error_ellipsoids
 
 
 @pytest.fixture(scope="module")

@@ -11,10 +11,10 @@ from scipy.stats import binom, chi2, kstest, norm
 
 from jaxbundle.block.datum import with_datum
 from jaxbundle.numerics.compilation import QUICKLY
-from jaxbundle.planning.simulate import simulate
+from jaxbundle.planning.simulation import simulate
 from jaxbundle.solve.adjust import adjust
 from jaxbundle.solve.adjustment import Adjustment
-from jaxbundle.statistics.reliability import (
+from jaxbundle.statistics.reliability_tables import (
     LEVEL,
     POWER,
     UNCONTROLLED,

@@ -17,7 +17,7 @@ from jaxbundle.statistics.dense import dense_system
 from jaxbundle.statistics.error_columns import ErrorColumn, _weighted_columns, error_tests
 from jaxbundle.statistics.hypotheses import Cause
 from jaxbundle.statistics.possible_errors import computed_values, possible_errors
-from jaxbundle.statistics.reliability import redundancy_numbers, reliability
+from jaxbundle.statistics.reliability_tables import redundancy_numbers, reliability
 from jaxbundle.statistics.selection import log_probability
 from jaxbundle.statistics.suspects import find_suspects, suspects, with_errors_removed
 
@@ -162,7 +162,7 @@ def test_ray_of_a_point_on_two_images_is_one_of_two(simulated):
     assert names <= named
     assert np.isnan(suspicion.error).all() or suspicion.degrees == 1
     finding = found_by(adjustment)[0]
-    assert finding.what.startswith("either the ray") and "cannot tell them apart" in finding.cure
+    assert finding.what.startswith("either the ray") and "cannot distinguish between them" in finding.cure
 
 
 def test_shift_of_all_control_is_named_against_the_stations(simulated):

@@ -7,9 +7,9 @@ import pytest
 
 from jaxbundle.camera.collinearity import photo_vector
 from jaxbundle.geometry.rotation import from_alpha_omega_kappa
-from jaxbundle.numerics.precision import require_float64
+from jaxbundle.numerics.float64 import require_float64
 from jaxbundle.textbook import crosscheck, orthonormality_defect, printed_matrix, printed_partials, regular_partials
-from jaxbundle.textbook.crosscheck import THRESHOLD
+from jaxbundle.textbook.cross_checks import THRESHOLD
 from jaxbundle.textbook.partials import NAMES
 
 DRAWS = 4000

@@ -1,4 +1,4 @@
-"""A foreign block becomes a block, in one place for all formats."""
+"""Making a block from a foreign block, once for all formats."""
 
 import numpy as np
 from jaxtyping import Bool, Float, Int
@@ -17,27 +17,27 @@ from jaxbundle.block.block import (
 from jaxbundle.block.findings import Finding, Kind, in_order
 from jaxbundle.block.geodetic import DISTANCES
 from jaxbundle.block.navigation import ATTITUDES
-from jaxbundle.block.observations import CONTROL, STATIONS, ObservationGroup, observation_group
+from jaxbundle.block.observation_kinds import CONTROL, STATIONS, ObservationGroup, observation_group
 from jaxbundle.block.problems import BlockError, Problem
 from jaxbundle.geometry.rotation import OMEGA_PHI_KAPPA
 from jaxbundle.io.formats import rotations
 from jaxbundle.io.formats.control_system import at_control, in_control_system
 from jaxbundle.io.formats.decided import decided
 from jaxbundle.io.formats.foreign_block import ForeignBlock, ForeignCamera, Known, element
-from jaxbundle.io.formats.selection import usable
+from jaxbundle.io.formats.usable_part import usable
 from jaxbundle.io.noted import measured_again
 from jaxbundle.io.ranges import LARGEST_LENGTH, LARGEST_SIGMA, PRINCIPAL_DISTANCES, SMALLEST_SIGMA
 from jaxbundle.numerics.host import on_device, on_host
 
-SYSTEMATIC = 9  # parameters of an observed attitude, all 0 and held
+SYSTEMATIC = 9  # parameters of an observed attitude, all fixed at 0
 
 
 def assembled(foreign: ForeignBlock) -> Block:
-    """The block: the reading that fits, what can take part, in the system of the control.
+    """Makes the block: with the interpretation that fits, usable images and points, in the system of the control.
 
-    What is assumed and found stands in the findings.
+    Assumptions and problems are in the findings.
 
-    Raises: BlockError where no reading fits, or nothing remains.
+    Raises: BlockError where no interpretation fits, or no usable observations remain.
     """
     foreign = usable(decided(_named_once(foreign)))
     _require_numbers(foreign)
@@ -52,7 +52,7 @@ def assembled(foreign: ForeignBlock) -> Block:
 
 
 def _named_once(foreign: ForeignBlock) -> ForeignBlock:
-    """The block itself. Raises: BlockError where two images, points or cameras have one name."""
+    """Makes the block. Raises: BlockError where two images, points or cameras have the same name."""
     problems = []
     named = {
         "images": foreign.images.names,
@@ -64,27 +64,27 @@ def _named_once(foreign: ForeignBlock) -> ForeignBlock:
             seen: set[str] = set()
             again = [name for name in names if name in seen or seen.add(name)]
             problems.append(
-                Problem(f"{len(again)} {what} have a name twice, such as '{again[0]}'", "rename them", what)
+                Problem(f"{len(again)} names of {what} occur twice, such as '{again[0]}'", "rename them", what)
             )
         if "" in names:
-            problems.append(Problem(f"one of the {what} has no name", "name it", what))
+            problems.append(Problem(f"one of the {what} has no name", "add the name", what))
     if problems:
         raise BlockError(problems)
     return foreign
 
 
 def _require_numbers(foreign: ForeignBlock) -> None:
-    """Raises BlockError for a block without rays and for numbers that no block can have."""
+    """Raises BlockError for a block without rays and for numbers outside the range of a block."""
     problems = []
     if not len(foreign.rays.image):
-        what = f"{foreign.format} {foreign.name} has no point that is measured on two oriented images"
+        what = f"{foreign.format} {foreign.name} has no point measured on two oriented images"
         cure = "export it with image measurements and tie points"
         raise BlockError([Problem(what, cure)])
     for camera in foreign.cameras:
         values = [element(camera, name) for name in camera.model.elements]
         c = element(camera, "principal_distance")
         if not np.isfinite(values).all() or not PRINCIPAL_DISTANCES[0] <= c <= PRINCIPAL_DISTANCES[1]:
-            what = f"camera {camera.name} has elements that no camera has (principal distance {c:g})"
+            what = f"camera {camera.name} has implausible elements (principal distance {c:g})"
             problems.append(Problem(what, "correct the interior orientation", "cameras"))
     tables = (
         ("images", foreign.images.centre, LARGEST_LENGTH),
@@ -151,7 +151,7 @@ def _assumed(foreign: ForeignBlock) -> list[Finding]:
 
 
 def _again(foreign: ForeignBlock) -> list[Finding]:
-    """Rays whose point an earlier ray of the same image measures."""
+    """Rays that repeat the point of an earlier ray on the same image."""
     rays = foreign.rays
     pair = rays.point * np.int64(len(foreign.images.names)) + rays.image
     _, first = np.unique(pair, return_index=True)
@@ -175,9 +175,9 @@ def _interior(
 
 
 def _with_control(foreign: ForeignBlock) -> tuple[Float[np.ndarray, "point 3"], Bool[np.ndarray, "point 3"]]:
-    """Coordinates of the points, and which of them control fixes at its values.
+    """Coordinates of the points, and a mask of the coordinates that control fixes.
 
-    A point that its rays do not give has the coordinates of the control.
+    Points that cannot be intersected have the coordinates of the control.
     """
     coordinates, held = foreign.points.coordinates.copy(), np.zeros((len(foreign.points.names), 3), bool)
     position = {name: k for k, name in enumerate(foreign.points.names)}
@@ -199,7 +199,7 @@ def _check_points(foreign: ForeignBlock) -> tuple[Int[np.ndarray, " check"], Che
 
 
 def _rows(known: list[Known], position: dict[str, int]) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
-    """Indices, values and sigmas; a sigma of 0 or none is not observed here."""
+    """Indices, values and sigmas; coordinates with sigma 0 or without sigma are not observed here."""
     index = np.array([position[row.name] for row in known], np.int64)
     values = np.array([row.coordinates for row in known], float).reshape(-1, 3)
     sigmas = np.array([row.sigmas for row in known], float).reshape(-1, 3)
@@ -207,7 +207,7 @@ def _rows(known: list[Known], position: dict[str, int]) -> tuple[np.ndarray, np.
 
 
 def _groups(foreign: ForeignBlock) -> tuple[tuple[ObservationGroup, ...], tuple[Parameter, ...]]:
-    """Control, stations, attitudes and distances, where there are any; the held parameters of attitudes."""
+    """Groups of control, stations, attitudes and distances, and the fixed parameters of attitudes."""
     points = {name: k for k, name in enumerate(foreign.points.names)}
     images = {name: k for k, name in enumerate(foreign.images.names)}
     groups, parameters = [], ()

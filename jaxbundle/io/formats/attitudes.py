@@ -1,11 +1,11 @@
-"""Attitudes in flight as photogrammetric angles, and back.
+"""Conversion of attitudes in flight to photogrammetric angles, and back.
 
     R = E R_z(yaw) R_y(pitch) R_x(roll) B D,    E = [[0,1,0],[1,0,0],[0,0,-1]],  B = [[0,0,1],[1,0,0],[0,1,0]]
 
-from the axes of a camera on a gimbal (yaw clockwise from north, pitch 0 is level and -90 looks down), E from
-north-east-down to east-north-up, B from the camera of computer vision, D = diag(1, -1, -1). In a grid the meridian
-convergence is subtracted from the yaw. OpenDroneMap and Metashape count pitch from the nadir: pitch of the gimbal =
-pitch - 90.
+R transforms from the axes of a camera on a gimbal (yaw clockwise from north; pitch 0 is level, -90 looks down).
+E transforms from north-east-down to east-north-up, B from the camera axes of computer vision, D = diag(1, -1, -1). In a
+grid the meridian convergence is subtracted from the yaw. OpenDroneMap and Metashape count pitch from the nadir: pitch
+of the gimbal = pitch - 90.
 """
 
 import math
@@ -27,7 +27,7 @@ def _yaw_pitch_roll(yaw: np.ndarray, pitch: np.ndarray, roll: np.ndarray) -> Rot
 
 
 def rotations_of_gimbal(degrees: Float[np.ndarray, "image 3"]) -> Float[np.ndarray, "image 3 3"]:
-    """object_from_image, object system east, north, up, of yaw, pitch and roll of a gimbal in degrees.
+    """Rotation object_from_image of yaw, pitch and roll of a gimbal in degrees; object system east, north, up.
 
     Example: (0, -90, 0) looks down, with the top of the image to the north: omega, phi, kappa are 0.
     """
@@ -38,12 +38,12 @@ def rotations_of_gimbal(degrees: Float[np.ndarray, "image 3"]) -> Float[np.ndarr
 def observed_attitudes(
     attitudes: tuple[Known, ...], stations: tuple[Known, ...], system: str, sigma: float
 ) -> tuple[Known, ...]:
-    """omega, phi, kappa in radians, observed with a standard deviation.
+    """Observations of omega, phi, kappa in radians, with one standard deviation.
 
     Args:
-        attitudes: yaw from true north, pitch and roll in degrees, by image.
+        attitudes: yaw from true north, pitch and roll in degrees, for each image.
         stations: positions of the same images in the system of the block.
-        system: the text of that system; of a projected one the meridian convergence is subtracted from the yaw.
+        system: text of that system; for a projected system the meridian convergence is subtracted from the yaw.
         sigma: of each angle, in degrees.
     """
     places = {row.name: row.coordinates for row in stations}

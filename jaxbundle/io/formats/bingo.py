@@ -1,10 +1,10 @@
-"""BINGO and BLUH: image.dat, itera.dat and geoin.dat in one folder.
+"""Reading and writing BINGO and BLUH: image.dat, itera.dat and geoin.dat in one folder.
 
     image.dat    photo [camera], then point x y in mm, -99 after each photo; # comments
     geoin.dat    CAPA camera number c x0 y0;  CONT point E N H;  CHCK point E N H;  C, * comments
     itera.dat    ORIA photo X Y Z phi omega kappa camera, gon;  CORD point X Y Z
 
-R = R_y(phi) R_x(omega) R_z(kappa), x = x0 - c p_x / p_z, y up. Projects choose their angles: others are tried, and the
+R = R_y(phi) R_x(omega) R_z(kappa), x = x0 - c p_x / p_z, y up. Projects can use other angles: these are tried, and the
 rays decide. Source: BINGO's manual as a tool of GRASS GIS reads these files (H. Turek).
 """
 
@@ -33,18 +33,18 @@ from jaxbundle.io.noted import Noted
 FILES = ("image.dat", "itera.dat", "geoin.dat")
 END = "-99"
 GON, DEGREE = np.pi / 200, np.pi / 180
-NAME_LENGTH = 15  # characters of a point or photo
+NAME_LENGTH = 15  # maximum number of characters of a point or photo
 
 
 def is_bingo(path: Path) -> bool:
-    """Whether a folder holds image.dat, itera.dat and geoin.dat."""
+    """Whether a folder contains image.dat, itera.dat and geoin.dat."""
     return path.is_dir() and all((path / name).is_file() for name in FILES)
 
 
 def read_bingo(path: Path, options: ReadOptions = DEFAULT) -> ForeignBlock:
-    """The block of a folder.
+    """Reads the block of a folder.
 
-    Raises: BlockError with all that is wrong.
+    Raises: BlockError with all problems.
     """
     noted, found = Noted(), Collected()
     read_image_dat(path / "image.dat", found, noted)
@@ -93,7 +93,7 @@ def read_bingo(path: Path, options: ReadOptions = DEFAULT) -> ForeignBlock:
 
 
 def read_image_dat(path: Path, found: Collected, noted: Noted) -> None:
-    """Photographs and their points: image.dat of BINGO, also as Pix4D writes it."""
+    """Reads photographs and their points: image.dat of BINGO or of Pix4D."""
     photo = ""
     for line, text in enumerate(lines_of(path), 1):
         fields = text.split()
@@ -114,7 +114,7 @@ def read_image_dat(path: Path, found: Collected, noted: Noted) -> None:
 
 
 def _geoin(path: Path, found: Collected, noted: Noted) -> dict[str, tuple[float, float, float]]:
-    """Control, and the interior orientation of each camera."""
+    """Reads control, and the interior orientation of each camera."""
     cameras = {}
     for line, text in enumerate(lines_of(path), 1):
         fields = text.split()
@@ -134,7 +134,7 @@ def _geoin(path: Path, found: Collected, noted: Noted) -> dict[str, tuple[float,
 
 
 def _itera(path: Path, found: Collected, noted: Noted) -> None:
-    """Orientations and coordinates."""
+    """Reads orientations and coordinates of points."""
     for line, text in enumerate(lines_of(path), 1):
         fields = text.split()
         key, count = (fields[0].upper() if fields else ""), {"ORIA": 8, "CORD": 5}
@@ -156,14 +156,14 @@ def _itera(path: Path, found: Collected, noted: Noted) -> None:
 
 
 def short_names(names: tuple[str, ...], length: int = NAME_LENGTH) -> tuple[tuple[str, ...], bool]:
-    """Names without blanks and of at most so many characters; others are numbered, and whether one was."""
+    """Names without blanks and with few characters; other names become numbers. Returns whether one did."""
     good = all(name and len(name) <= length and not any(c.isspace() for c in name) and name != END for name in names)
     plain = good and not any(name.startswith(("#", "*", "-")) for name in names)
     return (names, False) if plain else (tuple(str(k + 1) for k in range(len(names))), True)
 
 
 def write_names(folder: Path, images: tuple[tuple[str, ...], ...], points: tuple[tuple[str, ...], ...]) -> None:
-    """names.csv: which numbers were written for which names."""
+    """Writes names.csv: the number that was written for each name."""
     rows = ["kind,written,name"]
     for kind, (own, written) in (("image", images), ("point", points)):
         rows += [f'{kind},{number},"{name}"' for name, number in zip(own, written, strict=True) if name != number]
@@ -173,7 +173,7 @@ def write_names(folder: Path, images: tuple[tuple[str, ...], ...], points: tuple
 def write_bingo(block: Block, path: Path) -> list[str]:
     """Writes image.dat, itera.dat and geoin.dat into a folder.
 
-    Returns: what has no place there.
+    Returns: sentences about what the format cannot represent.
     """
     foreign, losses = in_mm(block)
     path.mkdir(parents=True, exist_ok=True)
@@ -206,13 +206,13 @@ def write_bingo(block: Block, path: Path) -> list[str]:
         if np.isfinite(row.coordinates).all():
             rows.append(f"{'CHCK' if row.check else 'CONT'} {position[row.name]} {_row(row.coordinates)}")
         else:
-            losses.append(f"control point {row.name}, of which not all coordinates are known")
+            losses.append(f"control point {row.name}, because one of its coordinates is unknown")
     (path / "geoin.dat").write_text("\n".join(rows) + "\n", encoding="utf-8")
     return [*losses, "standard deviations", *losses_of_block(block, frozenset({"control"}))]
 
 
 def _phi_omega_kappa(rotation: np.ndarray) -> np.ndarray:
-    """phi, omega, kappa in radians of R_y(phi) R_x(omega) R_z(kappa)."""
+    """Angles phi, omega, kappa in radians of R_y(phi) R_x(omega) R_z(kappa)."""
     omega = np.arcsin(np.clip(-rotation[:, 1, 2], -1, 1))
     phi = np.arctan2(rotation[:, 0, 2], rotation[:, 2, 2])
     kappa = np.arctan2(rotation[:, 1, 0], rotation[:, 1, 1])

@@ -1,7 +1,7 @@
-"""BlocksExchange XML, as Bentley, Metashape and DJI Terra write it. The file is streamed: its size needs no memory.
+"""BlocksExchange XML of Bentley, Metashape and DJI Terra. The file is streamed, so large files need little memory.
 
-Image coordinates in px have their origin in the centre of the top left pixel: half a pixel is added. M leads from the
-object system into a camera whose x and y axes lie in the image as CameraOrientation says; XRightYDown: R_jb = M^T D.
+Image coordinates in px have their origin in the centre of the top left pixel: half a pixel is added. M transforms from
+the object system to the camera, with the x and y axes of CameraOrientation; XRightYDown: R_jb = M^T D.
 Omega, phi, kappa have M = (R_x R_y R_z)^T for that camera. f in px = FocalLength max(W, H) / SensorSize.
 Source: Bentley, iTwin Capture, "Import photos and control points: Blocks exchange XML format".
 """
@@ -35,17 +35,22 @@ from jaxbundle.io.formats.foreign_block import (
 from jaxbundle.io.formats.source import AGAIN, XmlNumbers, child_text, elements, local
 from jaxbundle.io.formats.written import in_pixels, losses_of_block
 from jaxbundle.io.noted import Noted
-from jaxbundle.io.text import UnreadableError, file_bytes
+from jaxbundle.io.text_files import UnreadableError, file_bytes
 
-HEAD = 2000  # bytes that hold the root
-AXES = {"Right": (1.0, 0.0), "Left": (-1.0, 0.0), "Down": (0.0, 1.0), "Up": (0.0, -1.0)}  # in x right, y down
-SIGMAS = (0.01, 0.01)  # m: what Bentley's program takes where a control point has no accuracies
+HEAD = 2000  # bytes that contain the root element
+AXES = {
+    "Right": (1.0, 0.0),
+    "Left": (-1.0, 0.0),
+    "Down": (0.0, 1.0),
+    "Up": (0.0, -1.0),
+}  # axes of CameraOrientation in x right, y down
+SIGMAS = (0.01, 0.01)  # m: default of Bentley's program for control points without accuracies
 DISTORTION = ("K1", "K2", "K3", "P1", "P2")
 CATEGORIES = {"Full": (1, 1), "Horizontal": (1, 0), "Vertical": (0, 1)}
 
 
 def is_blocks_exchange(path: Path) -> bool:
-    """Whether a file has the root BlocksExchange."""
+    """Whether a file has the root element BlocksExchange."""
     try:
         return not path.is_dir() and b"<BlocksExchange" in file_bytes(path, HEAD)
     except UnreadableError:
@@ -53,9 +58,9 @@ def is_blocks_exchange(path: Path) -> bool:
 
 
 def read_blocks_exchange(path: Path, options: ReadOptions = DEFAULT) -> ForeignBlock:
-    """The first block of the file.
+    """Reads the first block of the file.
 
-    Raises: BlockError with all that is wrong.
+    Raises: BlockError with all problems.
     """
     reader = _Reader(path)
     for tag, one in elements(path, "SRS", "Photogroup", "ControlPoint", "TiePoint", "ScaleConstraint"):
@@ -64,7 +69,7 @@ def read_blocks_exchange(path: Path, options: ReadOptions = DEFAULT) -> ForeignB
 
 
 class _Reader:
-    """What has been read so far; one method for each kind of element."""
+    """Content that was read so far; one method for each kind of element."""
 
     def __init__(self, path: Path):
         self.path, self.noted = path, Noted()
@@ -115,7 +120,7 @@ class _Reader:
             self.centres.append(self._triple(photo, "Pose/Center/", what))
 
     def _axes(self, orientation: str) -> Float[np.ndarray, "3 3"]:
-        """Rows: the axes of x right, y down, z forward in those of the camera of the file."""
+        """Matrix with rows: axes x right, y down, z forward in the axes of the camera of the file."""
         found = [AXES.get(word) for word in orientation.replace("X", "").split("Y")]
         if len(found) != 2 or found[0] is None or found[1] is None:
             self.noted.add(self.path.name, 0, f"CameraOrientation {shown(orientation)} is unknown", AGAIN)
@@ -162,7 +167,7 @@ class _Reader:
                 self.path.name, 0, f"{what} has the model {shown(model)}", "read are Perspective and Fisheye"
             )
         if model == "Fisheye" and any(one.tag.startswith("Fisheye") for one in group):
-            cure = "undistort the images, or export the project in another form"
+            cure = "undistort the images, or export the project in another format"
             self.noted.add(self.path.name, 0, f"{what} has a fisheye matrix, whose meaning is not public", cure)
         elements_ = {name: self.numbers.of(group, f"Distortion/{name}", what, 0.0) for name in DISTORTION}
         aspect = self.numbers.of(group, "AspectRatio", what, 1.0)
@@ -227,7 +232,7 @@ class _Reader:
             self.distances.append(Distance(start, end, distance, sigma))
 
     def block(self) -> ForeignBlock:
-        """The block of all that was read. Raises: BlockError with all that was noted."""
+        """Makes the block of the whole content. Raises: BlockError with all noted problems."""
         if not self.names:
             self.noted.add(self.path.name, 0, "there is no photo", "export the block with its photos")
         findings = []
@@ -260,7 +265,7 @@ class _Reader:
 def write_blocks_exchange(block: Block, path: Path) -> list[str]:
     """Writes version 2.1, one photogroup for each camera, matrices and XRightYDown.
 
-    Returns: what has no place there.
+    Returns: sentences about what the format cannot represent.
     """
     written = in_pixels(block, _holds)
     foreign = written.foreign
@@ -329,7 +334,7 @@ def _photo(foreign: ForeignBlock, image: int, matrix: Float[np.ndarray, "3 3"]) 
 
 
 def _measurements(foreign: ForeignBlock):
-    """The measurements of a point by its number, as text."""
+    """The measurements of each point as text, by the number of the point."""
     rays = foreign.rays
     order = np.argsort(rays.point, kind="stable")
     ends = np.searchsorted(rays.point[order], np.arange(len(foreign.points.names) + 1))

@@ -1,4 +1,4 @@
-"""Bundler files, version 0.3: bundle.out, and list.txt with the names of the images.
+"""Reading and writing Bundler files, version 0.3: bundle.out, and list.txt with the names of the images.
 
     # Bundle file v0.3
     cameras points
@@ -28,16 +28,16 @@ from jaxbundle.io.formats.foreign_block import (
 )
 from jaxbundle.io.formats.source import LARGEST_NUMBER, lines_of, text_of, wrong
 from jaxbundle.io.formats.written import in_pixels, losses_of_block
-from jaxbundle.io.text import UnreadableError, file_bytes
+from jaxbundle.io.text_files import UnreadableError, file_bytes
 
 HEAD = "# Bundle file v0.3"
 FILES = ("bundle.out", "bundle/bundle.out", "bundle_final.out")
 LISTS = ("list.txt", "../list.txt")
-CUT = "the file is cut off or damaged: take it from its source again"
+CUT = "the file is truncated or damaged: copy or export it again"
 
 
 def _file(path: Path) -> Path | None:
-    """The file of a path that means a Bundler project."""
+    """The file bundle.out of a Bundler project."""
     if path.is_dir():
         return next((path / name for name in FILES if (path / name).is_file()), None)
     try:
@@ -52,9 +52,9 @@ def is_bundler(path: Path) -> bool:
 
 
 def read_bundler(path: Path, options: ReadOptions = DEFAULT) -> ForeignBlock:
-    """The cameras, points and rays of a Bundler file. Cameras that were not oriented have no orientation.
+    """Reads cameras, points and rays of a Bundler file. Cameras that were not oriented have the orientation NaN.
 
-    Raises: BlockError with what is wrong in the file.
+    Raises: BlockError with the problem of the file.
     """
     file = _file(path) or path
     text = text_of(file)
@@ -117,21 +117,21 @@ def _values(file: Path, text: str) -> Float[np.ndarray, " number"]:
 
 def _counts(file: Path, values: Float[np.ndarray, " number"]) -> tuple[int, int]:
     if len(values) < 2 or not (values[:2] > 0).all() or (values[:2] % 1).any() or (values[:2] > len(values)).any():
-        raise wrong(file, 2, "the line does not tell the numbers of cameras and points", CUT)
+        raise wrong(file, 2, "the line does not give the numbers of cameras and points", CUT)
     return int(values[0]), int(values[1])
 
 
 def _points(
     file: Path, values: Float[np.ndarray, " number"], at: int, counts: tuple[int, int]
 ) -> tuple[Float[np.ndarray, "point 3"], RayTable]:
-    """Points and their rays; a record is as long as its number of rays says."""
+    """Reads points and their rays; the length of a record depends on its number of rays."""
     cameras, points = counts
     starts, lengths = np.zeros(points, np.int64), np.zeros(points, np.int64)
     for k in range(points):
         count = values[at + 6] if at + 6 < len(values) else -1.0
         if count < 0 or count % 1 or at + 7 + 4 * count > len(values):
             raise wrong(
-                file, 0, f"point {k} of {points} is not whole: the file ends, or its number of rays is wrong", CUT
+                file, 0, f"point {k} of {points} is incomplete: the file ends, or its number of rays is wrong", CUT
             )
         starts[k], lengths[k] = at, int(count)
         at += 7 + 4 * int(count)
@@ -144,7 +144,7 @@ def _points(
     image, x, y = (values[first + k] for k in (0, 2, 3))
     bad = np.flatnonzero(~((image >= 0) & (image < cameras) & (image % 1 == 0)))
     if len(bad):
-        raise wrong(file, 0, f"{len(bad)} rays name a camera that is not there, such as {image[bad[0]]:g}", CUT)
+        raise wrong(file, 0, f"{len(bad)} rays refer to a camera that does not exist, such as {image[bad[0]]:g}", CUT)
     return coordinates, RayTable(image.astype(np.int64), np.repeat(np.arange(points), lengths), np.column_stack([x, y]))
 
 
@@ -156,9 +156,7 @@ def _names(file: Path, cameras: int) -> tuple[str, ...]:
     lines = [line.strip() for line in lines_of(path) if line.strip()]
     names = tuple(_without_focal(line) for line in lines)
     if len(names) != cameras:
-        raise wrong(
-            path, 0, f"{len(names)} images are listed, {file.name} has {cameras}", "give the list it was made of"
-        )
+        raise wrong(path, 0, f"{len(names)} images are listed, {file.name} has {cameras}", "give the list of this file")
     return names
 
 
@@ -169,9 +167,9 @@ def _without_focal(line: str) -> str:
 
 
 def write_bundler(block: Block, path: Path) -> list[str]:
-    """Writes bundle.out and list.txt; coordinates are reduced by a shift, written beside them.
+    """Writes bundle.out and list.txt; coordinates are reduced by a shift, which is written to shift.txt.
 
-    `path`: a folder, or a file with suffix .out. Returns: what has no place there.
+    `path`: a folder, or a file with suffix .out. Returns: sentences about what the format cannot represent.
     """
     written = in_pixels(block, _holds)
     foreign, losses = written.foreign, list(written.losses)
@@ -200,13 +198,13 @@ def write_bundler(block: Block, path: Path) -> list[str]:
     (file.parent / "list.txt").write_text("\n".join(foreign.images.names) + "\n", encoding="utf-8")
     if shift.any():
         (file.parent / "shift.txt").write_text(_row(shift) + "\n", encoding="utf-8")
-        losses.append(f"coordinates are reduced by {_row(shift)}, as shift.txt says")
-    losses.append("the principal points: image coordinates are written from them")
+        losses.append(f"coordinates are reduced by the shift {_row(shift)}, written to shift.txt")
+    losses.append("the principal points: written image coordinates are relative to them")
     return [*losses, "names of points", *losses_of_block(block, frozenset())]
 
 
 def _holds(camera: ForeignCamera) -> bool:
-    """Whether f, k1 and k2 are all that a camera has besides its principal point."""
+    """Whether a camera has only f, k1 and k2 in addition to its principal point."""
     others = set(camera.model.elements) - {"principal_distance", "x0", "y0", "K1", "K2", "y_axis"}
     return camera.model is METASHAPE and not any(element(camera, name) for name in others)
 

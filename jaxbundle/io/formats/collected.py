@@ -1,4 +1,4 @@
-"""Rows of text formats of aerial triangulation, collected by names: photographs, points, rays, control."""
+"""Collecting the rows of text formats of aerial triangulation by names: photographs, points, rays, control."""
 
 import dataclasses
 from collections.abc import Callable
@@ -9,7 +9,9 @@ from jaxtyping import Float
 from jaxbundle.camera.brown import DISTORTION_FREE
 from jaxbundle.io.formats.foreign_block import ForeignBlock, ForeignCamera, Images, Known, Points, RayTable
 
-SIGMA = 0.005  # mm, of image coordinates where a format has none: half a pixel of scanned film, one of most sensors
+SIGMA = (
+    0.005  # mm, of image coordinates where a format has none: half a pixel of scanned film, one pixel of most sensors
+)
 IN_MM = "image coordinates have a standard deviation of 0.005 mm"
 IN_PX = "image coordinates have a standard deviation of 1 px"
 CONTROL = "control points have standard deviations of 0.05 m in plan and 0.1 m in height"
@@ -17,7 +19,7 @@ CONTROL_SIGMAS = (0.05, 0.05, 0.1)
 
 
 class Collected:
-    """Names get numbers in the order in which they are met."""
+    """Numbers for names, in the order of their first occurrence."""
 
     def __init__(self):
         self.images: dict[str, int] = {}
@@ -30,15 +32,15 @@ class Collected:
         self.rays: list[tuple[int, int, float, float]] = []
 
     def image(self, name: str) -> int:
-        """The number of an image."""
+        """Returns the number of an image."""
         return self.images.setdefault(name, len(self.images))
 
     def ray(self, image: str, point: str, x: float, y: float) -> None:
-        """A measured point."""
+        """Adds the ray of a measured point."""
         self.rays.append((self.image(image), self.points.setdefault(point, len(self.points)), x, y))
 
     def images_with(self, cameras: list[str], matrices: Callable[[np.ndarray], np.ndarray]) -> Images:
-        """The images; `matrices` makes object_from_image of the rows of three angles that were collected."""
+        """The images; `matrices` converts the collected rows of three angles to object_from_image."""
         names = tuple(self.images)
         rotation, centre = np.full((len(names), 3, 3), np.nan), np.full((len(names), 3), np.nan)
         some = [k for k, name in enumerate(names) if name in self.orientation]
@@ -55,37 +57,37 @@ class Collected:
         return Images(names, camera, rotation, centre)
 
     def points_found(self) -> Points:
-        """The points that are measured, with the coordinates that were collected."""
+        """The measured points, with the collected coordinates."""
         names = tuple(self.points)
         missing = (np.nan, np.nan, np.nan)
         return Points(names, np.array([self.coordinates.get(name, missing) for name in names], float).reshape(-1, 3))
 
     def ray_table(self) -> RayTable:
-        """The rays."""
+        """The rays of all images."""
         rays = np.array(self.rays, float).reshape(-1, 4)
         return RayTable(rays[:, 0].astype(np.int64), rays[:, 1].astype(np.int64), rays[:, 2:])
 
     def measured_control(self) -> tuple[Known, ...]:
-        """The control points."""
+        """The control points that are measured."""
         return tuple(self.control.values())
 
 
 def mm_camera(name: str, c: float, x0: float = 0.0, y0: float = 0.0) -> ForeignCamera:
-    """A camera free of distortion, in mm from the image centre, y up."""
+    """A camera without distortion, in mm from the image centre, y up."""
     return ForeignCamera(name, DISTORTION_FREE, {"principal_distance": c, "x0": x0, "y0": y0}, (), "mm")
 
 
 def scaled(foreign: ForeignBlock, factor: float) -> ForeignBlock:
-    """The block with image coordinates in another unit."""
+    """The same block with image coordinates in another unit."""
     return dataclasses.replace(foreign, rays=foreign.rays._replace(xy=foreign.rays.xy * factor))
 
 
 def transposed(foreign: ForeignBlock) -> ForeignBlock:
-    """The block with its rotations the other way round."""
+    """The same block with transposed rotations."""
     turned = np.swapaxes(foreign.images.rotation, 1, 2)
     return dataclasses.replace(foreign, images=foreign.images._replace(rotation=turned))
 
 
 def with_rotations(rotation: Float[np.ndarray, "image 3 3"]) -> Callable[[ForeignBlock], ForeignBlock]:
-    """A change of the rotations."""
+    """A function that changes the rotations of a block."""
     return lambda foreign: dataclasses.replace(foreign, images=foreign.images._replace(rotation=rotation))

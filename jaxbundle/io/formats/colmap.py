@@ -1,4 +1,4 @@
-"""COLMAP models: cameras, images, points3D and, since 3.12, rigs and frames, as text or binary.
+"""Reading COLMAP models: cameras, images, points3D and, since 3.12, rigs and frames, as text or binary.
 
 Image coordinates have their origin in the corner of the image. Quaternions and translations are image from object.
 Poses of images that belong to frames follow from rig and frame where they differ (COLMAP 4.2 writes stale ones).
@@ -30,19 +30,19 @@ from jaxbundle.io.formats.foreign_block import (
 from jaxbundle.io.noted import Noted
 
 FILES = ("cameras", "images", "points3D")
-SPARSE = 4  # numbers of points per point and ray: beyond, a table of all numbers would be mostly empty
-SAME_POSE = 1e-6  # of quaternions and, relative to the largest, of translations: rounding of text with few digits
+SPARSE = 4  # point numbers per point and ray: above this, a table of all numbers would be mostly empty
+SAME_POSE = 1e-6  # tolerance of quaternions and relative tolerance of translations: rounding of text with few digits
 
 
 def is_colmap(path: Path) -> bool:
-    """Whether a folder holds the three files of a model, as text or binary."""
+    """Whether a folder contains the three files of a model, as text or binary."""
     return path.is_dir() and any(all((path / f"{name}.{end}").is_file() for name in FILES) for end in ("bin", "txt"))
 
 
 def read_colmap(path: Path, options: ReadOptions = DEFAULT) -> ForeignBlock:
-    """The model in a folder; binary files are preferred to text.
+    """Reads the model in a folder; binary files are preferred to text.
 
-    Raises: BlockError with all that is wrong, in file and line or byte.
+    Raises: BlockError with all problems, each with file and line or byte.
     """
     noted = Noted()
     binary = all((path / f"{name}.bin").is_file() for name in FILES)
@@ -73,7 +73,7 @@ def _positions(ids: list[int], wanted: Int[np.ndarray, " image"]) -> Int[np.ndar
 
 
 def _cameras(path: Path, model: Model, noted: Noted, end: str) -> dict[int, ForeignCamera]:
-    """Cameras by their number; what is wrong is noted."""
+    """Cameras by their number; problems are noted."""
     cameras, file = {}, f"cameras.{end}"
     for row in model.cameras:
         known = BY_NAME.get(row.model) if isinstance(row.model, str) else BY_NUMBER.get(row.model)
@@ -91,7 +91,10 @@ def _cameras(path: Path, model: Model, noted: Noted, end: str) -> dict[int, Fore
     for name, camera in zip(model.image_names, model.image_camera.tolist(), strict=True):
         if camera not in given:
             noted.add(
-                f"images.{end}", 0, f"image {shown(name)} has the camera {camera}, which is not in {file}", "add it"
+                f"images.{end}",
+                0,
+                f"image {shown(name)} has the camera {camera}, which is not in {file}",
+                "add the camera",
             )
     return cameras
 
@@ -102,19 +105,19 @@ class _Rays(NamedTuple):
 
 
 def _rays(model: Model) -> _Rays:
-    """Rays to the points that exist."""
+    """The rays whose points exist."""
     place = _places(model.point_ids, model.ray_point)
     known = place >= 0
     image, point, xy = model.ray_image[known], place[known], model.xy[known]
     findings = ()
     if not known.all():
-        what = f"{int((~known).sum())} image points name a point that is not in points3D and take no part"
+        what = f"{int((~known).sum())} image points name a point that is not in points3D and are not used"
         findings = (Finding(Kind.UNUSED, what),)
     return _Rays(RayTable(image, point, xy), findings)
 
 
 def _places(ids: Int[np.ndarray, " point"], wanted: Int[np.ndarray, " ray"]) -> Int[np.ndarray, " ray"]:
-    """Places of numbers among others, -1 where there is none; by a table, unless the numbers are sparse."""
+    """Indices of numbers among others, -1 for a missing one; with a lookup table unless the numbers are sparse."""
     if not len(ids):
         return np.full(len(wanted), -1)
     if ids.max() < SPARSE * (len(ids) + len(wanted)):
@@ -129,7 +132,7 @@ def _places(ids: Int[np.ndarray, " point"], wanted: Int[np.ndarray, " ray"]) -> 
 def _poses(
     model: Model,
 ) -> tuple[Float[np.ndarray, "image 4"], Float[np.ndarray, "image 3"], tuple[Finding, ...]]:
-    """Quaternions and translations, from rigs and frames where these tell others than the images."""
+    """Quaternions and translations, from rigs and frames where these differ from the images."""
     quaternion, translation = model.quaternion.copy(), model.translation.copy()
     position = {number: k for k, number in enumerate(model.image_ids.tolist())}
     sensors = {(rig, sensor.key): sensor.pose for rig, row in model.rigs.items() for sensor in row}
@@ -147,7 +150,7 @@ def _poses(
                 quaternion[k], translation[k] = composed[:4], composed[4:]
     if not changed:
         return quaternion, translation, ()
-    what = f"the poses of {changed} images differ from those of their rigs and frames, which are used"
+    what = f"the poses of {changed} images differ from the poses of their rigs and frames, which are used"
     return quaternion, translation, (Finding(Kind.INFORMATION, what),)
 
 
@@ -159,7 +162,7 @@ def _differ(one: Float[np.ndarray, "7"], other: Float[np.ndarray, "7"]) -> bool:
 
 
 def _composed(sensor: Float[np.ndarray, "7"], rig: Float[np.ndarray, "7"]) -> Float[np.ndarray, "7"]:
-    """image from object: sensor_from_rig after rig_from_object."""
+    """The pose image from object: rig_from_object, then sensor_from_rig."""
     turn = rotations.from_quaternions(sensor[None, :4])[0]
     a, (b0, b1, b2, b3) = sensor[:4], rig[:4]
     left = np.array([[b0, -b1, -b2, -b3], [b1, b0, b3, -b2], [b2, -b3, b0, b1], [b3, b2, -b1, b0]])

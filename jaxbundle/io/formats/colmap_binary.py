@@ -1,4 +1,4 @@
-"""Binary files of a COLMAP model, little endian. Every file is one buffer; image points are taken from it as arrays."""
+"""Binary files of a COLMAP model, little endian. Each file is one buffer; image points are arrays in that buffer."""
 
 import struct
 from collections.abc import Callable
@@ -13,16 +13,16 @@ from jaxbundle.io.formats.colmap_cameras import BY_NUMBER, READ
 from jaxbundle.io.formats.colmap_records import NO_POSE, CameraRecord, FrameRecord, Model, SensorRecord, model_of
 from jaxbundle.io.formats.source import LARGEST_NUMBER, wrong
 from jaxbundle.io.noted import Noted
-from jaxbundle.io.text import require_bytes
+from jaxbundle.io.text_files import require_bytes
 
 IMAGE_POINT = np.dtype([("xy", "<f8", 2), ("point", "<u8")])
-NO_POINT = 2**63  # and above: -1 as COLMAP writes it
+NO_POINT = 2**63  # and above: COLMAP's -1
 Part = TypeVar("Part")
-CUT = "the file is cut off or damaged: take it from its source again"
+CUT = "the file is truncated or damaged: copy or export it again"
 
 
 class _Buffer:
-    """A file and a place in it. Whatever does not fit ends in a BlockError that names the byte."""
+    """A file and a position in it. Content that does not fit raises a BlockError with the byte."""
 
     def __init__(self, path: Path):
         self.path, self.data, self.at = path, require_bytes(path), 0
@@ -33,22 +33,22 @@ class _Buffer:
     def read(self, form: str, what: str) -> tuple:
         size = struct.calcsize(form)
         if self.at + size > len(self.data):
-            raise self.wrong(f"the file ends in the middle of {what}")
+            raise self.wrong(f"the file ends within {what}")
         values = struct.unpack_from(form, self.data, self.at)
         self.at += size
         return values
 
     def count(self, least: int, what: str) -> int:
-        """A number of records of at least so many bytes."""
+        """Reads the number of records; each has at least the given number of bytes."""
         (count,) = self.read("<Q", f"the number of {what}")
         if count * least > len(self.data) - self.at:
-            raise self.wrong(f"there are {count} {what}, more than the rest of the file holds")
+            raise self.wrong(f"there are {count} {what}, more than the rest of the file can contain")
         return count
 
     def pose(self, what: str) -> list[float]:
         values = list(self.read("<7d", what))
         if not all(abs(value) < LARGEST_NUMBER for value in values):
-            raise self.wrong(f"the pose of {what} is not of finite numbers")
+            raise self.wrong(f"the pose of {what} has a number that is not finite")
         return values
 
     def finish(self) -> None:
@@ -57,7 +57,7 @@ class _Buffer:
 
 
 def read_binary(folder: Path, noted: Noted) -> Model:
-    """The records of cameras.bin, images.bin, points3D.bin and, where they are there, rigs.bin and frames.bin."""
+    """Reads the records of cameras.bin, images.bin, points3D.bin and, if they exist, rigs.bin and frames.bin."""
     cameras = _noted(_cameras, folder / "cameras.bin", noted)
     images = _noted(_images, folder / "images.bin", noted)
     points = _noted(_points, folder / "points3D.bin", noted)
@@ -69,7 +69,7 @@ def read_binary(folder: Path, noted: Noted) -> Model:
 
 
 def _noted(read: Callable[[Path], Part], path: Path, noted: Noted) -> Part | None:
-    """What a file holds; None and a note where it is damaged."""
+    """The content of a file; None and a note where it is damaged."""
     try:
         return read(path)
     except BlockError as error:
@@ -109,7 +109,7 @@ def _images(path: Path) -> tuple[list, list]:
         file.at += count * IMAGE_POINT.itemsize
         rows = rows[rows["point"] < NO_POINT]
         if not (np.abs(rows["xy"]) < LARGEST_NUMBER).all():
-            raise file.wrong(f"image {number} has an image point that is not of finite numbers")
+            raise file.wrong(f"image {number} has an image point that is not finite")
         images.append((number, name, camera, pose))
         rays.append((rows["xy"].copy(), rows["point"].astype(np.int64)))
     file.finish()
@@ -124,7 +124,7 @@ def _points(path: Path) -> tuple[Int[np.ndarray, " point"], Float[np.ndarray, "p
     for k in range(count):
         if at + size > len(data):
             file.at = at
-            raise file.wrong(f"the file ends in the middle of point {k + 1} of {count}")
+            raise file.wrong(f"the file ends within point {k + 1} of {count}")
         number, x, y, z, _, _, track = head.unpack_from(data, at)
         if number >= NO_POINT or track > len(data):
             file.at = at

@@ -1,6 +1,6 @@
-"""The camera models of COLMAP and those of the package: exact both ways, or refused.
+"""Conversion between the camera models of COLMAP and of this package: exact in both directions, or refused.
 
-    f = fy, b1 = fx - fy,  P1 = p2, P2 = p1,  principal point as it is        (numbers of a model as COLMAP counts them)
+    f = fy, b1 = fx - fy,  P1 = p2, P2 = p1,  principal point unchanged       (numbers of a model as COLMAP counts them)
 
 Source: the camera models of COLMAP 4.2, src/colmap/sensor/models.h.
 """
@@ -15,7 +15,7 @@ from jaxbundle.io.formats.foreign_block import ForeignCamera, element
 
 
 class ColmapModel(NamedTuple):
-    """A model of COLMAP: its number, name, parameters by the names of elements here, and the model that it is."""
+    """A model of COLMAP: its number, name, parameters with the names of elements here, and the equal model here."""
 
     number: int
     name: str
@@ -53,14 +53,14 @@ MODELS = (
 BY_NUMBER = {model.number: model for model in MODELS}
 BY_NAME = {model.name: model for model in MODELS}
 READ = ", ".join(model.name for model in MODELS if model.model)
-# of the models of one kind of lens, those with fewer parameters first: the first that holds a camera is written
+# models of one kind of lens, with few parameters first: the first one that represents a camera is written
 _WRITTEN = sorted((model for model in MODELS if model.model), key=lambda model: len(model.parameters))
 
 
 def camera_from_colmap(
     name: str, model: ColmapModel, width: int, height: int, parameters: list[float]
 ) -> ForeignCamera:
-    """A camera of a model that is read. As in COLMAP the principal point is not estimated.
+    """A camera of a supported model. As in COLMAP, the principal point is not estimated.
 
     Example: SIMPLE_RADIAL with (2971.71, 1416, 1064, -0.164) is `metashape` with principal_distance 2971.71.
     """
@@ -77,7 +77,7 @@ def camera_from_colmap(
 
 
 def colmap_from_camera(camera: ForeignCamera) -> tuple[ColmapModel, list[float]] | None:
-    """The simplest model of COLMAP that holds a px camera exactly, and its parameters; None where there is none."""
+    """The simplest model of COLMAP that represents a px camera exactly, and its parameters; None if there is none."""
     given = {name: element(camera, name) for name in camera.model.elements}
     if camera.model is DISTORTION_FREE and given.get("pixel_size", 1.0) != 1.0:
         given["principal_distance"] /= given["pixel_size"]

@@ -1,4 +1,4 @@
-"""The records of a COLMAP model, the same for text and binary files."""
+"""Types of the records of a COLMAP model, shared by text and binary files."""
 
 from typing import NamedTuple
 
@@ -10,7 +10,7 @@ SensorKey = tuple[int, int]
 
 
 class CameraRecord(NamedTuple):
-    """A camera as it stands in the file; `model` is a name or a number, `line` 0 in a binary file."""
+    """A camera as in the file; `model` is a name or a number, `line` 0 in a binary file."""
 
     id: int
     model: str | int
@@ -53,7 +53,7 @@ class Model(NamedTuple):
     frames: list[FrameRecord]
 
 
-NO_POSE = np.array([1.0, 0, 0, 0, 0, 0, 0])  # of the sensor of reference
+NO_POSE = np.array([1.0, 0, 0, 0, 0, 0, 0])  # of the reference sensor
 
 
 def model_of(
@@ -63,7 +63,7 @@ def model_of(
     points: tuple[Int[np.ndarray, " point"], Float[np.ndarray, "point 3"]],
     rigs: tuple[dict[int, list[SensorRecord]], list[FrameRecord]],
 ) -> Model:
-    """The records together: images as (number, name, camera, quaternion and translation), rays of each image."""
+    """Joins the records: images as (number, name, camera, quaternion and translation), and rays of each image."""
     pose = np.array([row[3] for row in images], float).reshape(-1, 7)
     counts = [len(point) for _, point in rays]
     return Model(

@@ -1,4 +1,4 @@
-"""Text files of a COLMAP model."""
+"""Reading the text files of a COLMAP model."""
 
 from collections.abc import Iterator
 from pathlib import Path
@@ -11,12 +11,12 @@ from jaxbundle.io.formats.colmap_records import NO_POSE, CameraRecord, FrameReco
 from jaxbundle.io.formats.source import AGAIN, LARGEST_NUMBER, integer, lines_of, numbers
 from jaxbundle.io.noted import Noted
 
-NAME_FIELD = 9  # of an image line: the name is the last field and may hold blanks
+NAME_FIELD = 9  # of an image line: the name is the last field and may contain blanks
 SENSORS = {"CAMERA": 0, "IMU": 1}
 
 
 def read_text_model(folder: Path, noted: Noted) -> Model:
-    """The records of cameras.txt, images.txt, points3D.txt and, where they are there, rigs.txt and frames.txt."""
+    """Reads the records of cameras.txt, images.txt, points3D.txt and, if they exist, rigs.txt and frames.txt."""
     images, rays = _images(folder / "images.txt", noted)
     return model_of(
         _cameras(folder / "cameras.txt", noted),
@@ -53,7 +53,7 @@ def _cameras(path: Path, noted: Noted) -> list[CameraRecord]:
 def _images(
     path: Path, noted: Noted
 ) -> tuple[list[tuple[int, str, int, list[float]]], list[tuple[np.ndarray, np.ndarray]]]:
-    """Images and their rays: two lines each, of which the second may be empty."""
+    """Images and their rays: two lines each; the second may be empty."""
     images, rays = [], []
     lines = lines_of(path)
     k = 0

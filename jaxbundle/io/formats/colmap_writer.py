@@ -1,4 +1,4 @@
-"""A block written as a COLMAP model, binary or text. Rigs and frames are left to COLMAP, which makes trivial ones."""
+"""Writing a block as a COLMAP model, binary or text. Rigs and frames are not written: COLMAP makes trivial ones."""
 
 import struct
 from pathlib import Path
@@ -19,7 +19,7 @@ HOLDS: frozenset[str] = frozenset()
 
 
 class _Tracks:
-    """Rays by image and by point, and the place of each among the points of its image."""
+    """Order of the rays by image and by point, and the index of each ray within its image."""
 
     def __init__(self, foreign: ForeignBlock):
         rays = foreign.rays
@@ -41,7 +41,7 @@ class _Tracks:
 def write_colmap(block: Block, path: Path, *, text: bool = False) -> list[str]:
     """Writes cameras, images and points3D; numbers count from 1 in the order of the block.
 
-    Returns: what has no place in a COLMAP model.
+    Returns: sentences about what a COLMAP model cannot represent.
     """
     written = in_pixels(block, lambda camera: colmap_from_camera(camera) is not None)
     foreign, tracks = written.foreign, _Tracks(written.foreign)

@@ -1,6 +1,6 @@
-"""A block whose object system is arbitrary is brought into that of its control, or of its observed stations.
+"""Transforming a block with an arbitrary object system into the system of its control or observed stations.
 
-X = s R x + T        the similarity that fits best, by all control points with three coordinates, else by stations
+X = s R x + T        the best fitting similarity of all control points with three coordinates, else of the stations
 """
 
 import dataclasses
@@ -18,14 +18,14 @@ from jaxbundle.io.formats.foreign_block import ForeignBlock, Known
 from jaxbundle.numerics.host import on_device, on_host
 
 LEAST = 3  # points that determine a similarity
-FLAT = 1e-6  # of the singular values: the points lie on a line
-SAME = 0.2  # of the extent of the known points: what differs by less is the same system, measured approximately
+FLAT = 1e-6  # ratio of singular values: below this the points lie on a line
+SAME = 0.2  # share of the extent of the known points: systems that differ by less are the same up to measuring errors
 
 
 def in_control_system(block: Block, foreign: ForeignBlock) -> Block:
-    """The block in the system of control or stations, if these know three points or more, not on one line.
+    """The block in the system of control or stations, if at least three known points do not lie on one line.
 
-    A block whose system means something is changed only where its control lies elsewhere.
+    A block whose object system is meaningful is transformed only where its control has another position.
     """
     s = block.structure
     places = {name: k for k, name in enumerate(s.point_names)}, {name: k for k, name in enumerate(s.image_names)}
@@ -47,11 +47,13 @@ def in_control_system(block: Block, foreign: ForeignBlock) -> Block:
             continue
         fit = _uncentred(found.similarity, model.mean(0), known.mean(0))
         left = _rms(on_host(fit(on_device(model))) - known)
-        words = f"the block was brought into the system of {len(model)} {what}: scale {float(fit.scale):.6g}, misfit"
+        words = (
+            f"the block was transformed into the system of {len(model)} {what}: scale {float(fit.scale):.6g}, misfit"
+        )
         note = Finding(Kind.INFORMATION, f"{words} {left:.3g} {s.object_unit} rms", "", (), left, s.object_unit)
         return with_findings(_transformed(block, fit), [note])
     if foreign.arbitrary and foreign.control:
-        what = f"the control does not bring the block into its system: {LEAST} points with three coordinates are needed"
+        what = f"no transformation into the system of the control: {LEAST} points with three coordinates are needed"
         return with_findings(block, [Finding(Kind.NOT_USED, what, "measure more of them", grade=Severity.FAILED)])
     return block
 
@@ -59,7 +61,7 @@ def in_control_system(block: Block, foreign: ForeignBlock) -> Block:
 def _pairs(
     rows: tuple[Known, ...], position: dict[str, int], own: Float[np.ndarray, "entity 3"]
 ) -> tuple[Float[np.ndarray, "known 3"], Float[np.ndarray, "known 3"]]:
-    """Coordinates in the block and known ones, where both are complete; check points give no system."""
+    """Coordinates in the block and known coordinates, where both are complete; check points are not used."""
     usable = [row for row in rows if not row.check]
     model = own[[position[row.name] for row in usable]].reshape(-1, 3)
     known = np.array([row.coordinates for row in usable], float).reshape(-1, 3)
@@ -77,7 +79,7 @@ def _uncentred(fit: Similarity, model: Float[np.ndarray, "3"], known: Float[np.n
 
 
 def _transformed(block: Block, fit: Similarity) -> Block:
-    """Projection centres, attitudes and points under a similarity."""
+    """Transforms projection centres, attitudes and points by a similarity."""
     turn = on_host(fit.rotation)
     matrices = turn @ rotations.from_angles(on_host(block.exterior.angles))
     exterior = ExteriorOrientation(fit(block.exterior.projection_centre), on_device(rotations.to_angles(matrices)))
@@ -86,7 +88,7 @@ def _transformed(block: Block, fit: Similarity) -> Block:
 
 
 def at_control(block: Block, foreign: ForeignBlock) -> Block:
-    """The block with the coordinates that control fixes at their values."""
+    """The block with fixed control coordinates at their given values."""
     held = ~block.structure.point_free
     if not held.any():
         return block

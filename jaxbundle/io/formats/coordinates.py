@@ -1,8 +1,8 @@
-"""Coordinate reference systems of control and positions: geographic ones become metric, and nothing is guessed.
+"""Coordinate reference systems of control and positions: geographic coordinates become metric without guessing.
 
-A text is an EPSG code, WKT, a PROJ string, or as OpenDroneMap writes it, "WGS84 UTM 17N" and "WGS84". Geographic
-coordinates are brought to the UTM zone of their mean; heights stay what they are, since no text of these files tells
-what they refer to. Transformations between systems never fall back to an approximate one (`allow_ballpark=False`).
+A system is given as EPSG code, WKT, PROJ string, or in the form of OpenDroneMap: "WGS84 UTM 17N" and "WGS84".
+Geographic coordinates are transformed to the UTM zone of their mean. Heights are unchanged, since these files do not
+define their reference. Approximate transformations between systems are never used (`allow_ballpark=False`).
 """
 
 import dataclasses
@@ -44,12 +44,12 @@ def is_geocentric(text: str) -> bool:
 
 
 def is_metric_local(text: str) -> bool:
-    """Whether a system is a local one, which no transformation relates to the earth."""
+    """Whether a system is local: no transformation relates it to the earth."""
     return text.strip().upper().startswith(("LOCAL_CS", "ENGCRS", "ENGINEERINGCRS", "LOCAL")) or not text.strip()
 
 
 def crs_of(text: str) -> Any:
-    """A pyproj CRS of a text.
+    """The pyproj CRS of a text.
 
     Raises: BlockError where pyproj does not know it.
     """
@@ -68,7 +68,7 @@ def crs_of(text: str) -> Any:
 
 
 def transformed(source: str, target: str, coordinates: Float[np.ndarray, "point 3"]) -> Float[np.ndarray, "point 3"]:
-    """Coordinates in another system, x east or longitude first; heights change only as both systems tell.
+    """Coordinates in another system, x east or longitude first; heights change only if both systems define them.
 
     Raises: BlockError where there is no exact transformation, such as for a missing grid of a geoid.
     """
@@ -85,12 +85,12 @@ def transformed(source: str, target: str, coordinates: Float[np.ndarray, "point 
     found = np.column_stack([x, y, z])
     if not np.isfinite(found[:, :2]).all():
         cure = "check that x is longitude or easting and y latitude or northing, in the units of the system"
-        raise BlockError([Problem(f"coordinates lie outside of the area of {shown(target)}", cure)])
+        raise BlockError([Problem(f"coordinates are outside the area of {shown(target)}", cure)])
     return found
 
 
 def utm_zone(longitude: float, latitude: float) -> str:
-    """The code of the UTM zone on WGS 84 of a place in degrees.
+    """The EPSG code of the UTM zone on WGS 84 of a position in degrees.
 
     Example: utm_zone(13.4, 52.5) is "EPSG:32633".
     """
@@ -99,7 +99,7 @@ def utm_zone(longitude: float, latitude: float) -> str:
 
 
 def metric(control: GroundControl | None, positions: Positions | None) -> tuple[GroundControl | None, Positions | None]:
-    """Control and positions in one metric system: that of projected control, else UTM where degrees are given.
+    """Control and positions in one metric system: the system of projected control, else UTM for coordinates in degrees.
 
     Raises: BlockError where a geographic table has no degrees, or a system is unknown.
     """
@@ -135,7 +135,7 @@ def _require_degrees(rows: Sequence[Known]) -> None:
 
 
 def _changed(rows: tuple[Known, ...], source: str, target: str) -> tuple[tuple[Known, ...], tuple[Finding, ...]]:
-    """Rows in another system, and a finding that tells it."""
+    """Rows in another system, and a finding about the transformation."""
     if not rows or not source or source == target:
         return rows, ()
     if is_geographic(source):
@@ -144,13 +144,15 @@ def _changed(rows: tuple[Known, ...], source: str, target: str) -> tuple[tuple[K
     found = transformed(source, target, places)
     what = f"coordinates were transformed from {shown(source)} to {shown(target)}; heights are unchanged"
     if np.nanmax(np.abs(np.nan_to_num(found[:, 2] - places[:, 2])), initial=0.0) > 0:
-        what = f"coordinates were transformed from {shown(source)} to {shown(target)}, heights as both systems tell"
+        what = (
+            f"coordinates were transformed from {shown(source)} to {shown(target)}, heights as both systems define them"
+        )
     changed = tuple(row._replace(coordinates=tuple(place)) for row, place in zip(rows, found.tolist(), strict=True))
     return changed, (Finding(Kind.INFORMATION, what),)
 
 
 def convergence(text: str, coordinates: Float[np.ndarray, "image 3"]) -> Float[np.ndarray, " image"]:
-    """Meridian convergence in radians at places in a projected system: grid azimuth = azimuth - convergence."""
+    """Meridian convergence in radians at positions in a projected system: grid azimuth = azimuth - convergence."""
     pyproj = extra("pyproj", "the meridian convergence")
     crs = crs_of(text)
     geodetic = pyproj.Transformer.from_crs(crs, crs.geodetic_crs, always_xy=True)

@@ -1,4 +1,4 @@
-"""Chooses the conventions of a file by its rays: alternatives are tried, the choice is reported, no fit is refused."""
+"""Choosing the conventions of a file by its rays: alternatives are tried, the choice is reported or refused."""
 
 import dataclasses
 from typing import NamedTuple
@@ -11,8 +11,8 @@ from jaxbundle.io.formats.foreign_block import ForeignBlock
 from jaxbundle.io.formats.intersected import with_intersections
 from jaxbundle.io.formats.misfit import Misfit, Misfits, misfits
 
-REFUSED = 0.05  # of the image width: a wrong axis, matrix or unit misses by more, approximate orientations by less
-CLEAR = 0.98  # a reading is preferred to that of the file's description if its misfit is below this share of it
+REFUSED = 0.05  # share of the image width: a wrong axis, matrix or unit exceeds it, approximate orientations do not
+CLEAR = 0.98  # an alternative is preferred to the described conventions if its misfit is below this share of theirs
 
 
 class _Tried(NamedTuple):
@@ -22,20 +22,20 @@ class _Tried(NamedTuple):
 
     @property
     def first(self) -> Misfit:
-        """The misfit by which a reading is refused: of the tie rays, of control where there are none."""
+        """The misfit that decides on a refusal: of the tie rays, or of control where there are none."""
         return self.fit.tie if self.fit.tie.rays else self.fit.control
 
     @property
     def judged(self) -> float:
-        """Tie rays and control together; control in another system counts no more than what is refused."""
+        """Misfit of tie rays and control; control in another system counts at most as the limit of refusal."""
         control = self.fit.control.share if self.fit.control.rays else 0.0
         return float(np.hypot(self.first.share, min(control, REFUSED)))
 
 
 def decided(foreign: ForeignBlock) -> ForeignBlock:
-    """The best reading, points intersected, with findings that tell its misfit and, where there was one, the choice.
+    """The best interpretation, with intersected points and findings about its misfit and the choice.
 
-    Raises: BlockError where no reading fits, with the misfit of each.
+    Raises: BlockError where no interpretation fits, with the misfit of each.
     """
     tried = [_tried(foreign.reading or "as described", foreign)]
     tried += [_tried(other.words, other.changed(foreign)) for other in foreign.alternatives]
@@ -61,7 +61,7 @@ def _tried(words: str, foreign: ForeignBlock) -> _Tried:
 
 
 def unit_of(foreign: ForeignBlock) -> str:
-    """Unit of the rays; "px or mm" where cameras differ."""
+    """Unit of the rays in words; "px or mm" where cameras differ."""
     return " or ".join(sorted({camera.image_unit for camera in foreign.cameras}, reverse=True))
 
 
@@ -79,7 +79,7 @@ def _fit(one: _Tried) -> Finding:
         parts.append(
             f"{control.rays} rays of control points: {_shown(control, unit)}, largest {control.largest:.4g} {unit}"
         )
-    what = f"{foreign.format}, misfit at the file's own values: {'; '.join(parts)}"
+    what = f"{foreign.format}, misfit at the values of the file: {'; '.join(parts)}"
     grade = Severity.CHECK if one.first.behind > 0.01 * one.first.rays else Severity.NOTE
     return Finding(Kind.INFORMATION, what, "", (), one.first.rms, unit, grade)
 
@@ -90,6 +90,6 @@ def _refusal(foreign: ForeignBlock, tried: list[_Tried]) -> Problem:
     return Problem(
         f"{foreign.format} {foreign.name}: the rays do not fit the orientations of the file ({shares}; allowed are"
         f" {100 * REFUSED:g} %)",
-        "check that all files belong to one project, the size of the images, and that images were not turned or scaled"
-        " after they were measured; or export it in another form",
+        "check that all files belong to one project, the size of the images, and that images were not rotated or scaled"
+        " after they were measured; or export the project in another format",
     )

@@ -1,6 +1,6 @@
-"""The table of exterior elements: image, X, Y, Z, omega, phi, kappa in degrees, camera; the system beside it.
+"""Writing a table of exterior elements: image, X, Y, Z, omega, phi, kappa in degrees, camera; and its system.
 
-Programs that make orthophotos read it (orthority, Pix4D, MicMac's OriConvert, Metashape). The angles are those of
+Programs that make orthophotos read it (orthority, Pix4D, MicMac's OriConvert, Metashape). The angles belong to
 R = R_x(omega) R_y(phi) R_z(kappa), object_from_image.
 """
 
@@ -19,7 +19,7 @@ HEADER = ("filename", "x", "y", "z", "omega", "phi", "kappa", "camera")
 def write_exterior(block: Block, path: Path) -> list[str]:
     """Writes the table as CSV and, where the coordinate system is known, NAME.prj with its text.
 
-    Returns: what has no place there.
+    Returns: sentences about what the format cannot represent.
     """
     foreign = foreign_block(block)
     angles = np.degrees(rotations.to_angles(foreign.images.rotation))

@@ -1,4 +1,4 @@
-"""Packages that only some formats need: they are asked for when they are used, by the name of their extra."""
+"""Packages that only some formats need: they are imported on use; a message names the extra of a missing package."""
 
 import importlib
 from typing import Any
@@ -16,7 +16,7 @@ EXTRAS = {
 
 
 def extra(module: str, what: str) -> Any:
-    """A module of an optional package; `what` needs it, such as "coordinates in degrees".
+    """Imports a module of an optional package; `what` needs it, such as "coordinates in degrees".
 
     Raises: BlockError with the name of the extra where the package is not installed.
     """

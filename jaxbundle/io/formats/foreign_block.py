@@ -1,7 +1,7 @@
-"""What a file of another program tells, before it is a block: the types that every reader fills and every writer takes.
+"""Types for the content of a file of another program: all readers return them and all writers accept them.
 
-Conventions are those of the package already: rotations are object_from_image (x right, y up, z back), image coordinates
-in px from the top left corner with v down, or in mm from the image centre with y up. What is not known is NaN.
+Conventions are those of this package: rotations are object_from_image (x right, y up, z back), image coordinates
+in px from the top left corner with v down, or in mm from the image centre with y up. Unknown values are NaN.
 """
 
 from collections.abc import Callable, Iterable, Mapping
@@ -17,7 +17,7 @@ from jaxbundle.camera.model import CameraModel
 
 @dataclass(frozen=True)
 class ForeignCamera:
-    """A camera: its model, elements by name (absent: 0; pixel_size: 1), those the program estimates, and its format."""
+    """A camera: model, elements by name (absent: 0; pixel_size: 1), estimated elements, and image format."""
 
     name: str
     model: CameraModel
@@ -29,7 +29,7 @@ class ForeignCamera:
 
 
 class Images(NamedTuple):
-    """Photographs; NaN where an orientation is not known."""
+    """Photographs with their orientations; NaN where an orientation is unknown."""
 
     names: tuple[str, ...]
     camera: Int[np.ndarray, " image"]
@@ -39,19 +39,19 @@ class Images(NamedTuple):
 
     @property
     def oriented(self) -> Bool[np.ndarray, " image"]:
-        """Which images have an orientation."""
+        """Mask of the images that have an orientation."""
         return np.asarray(np.isfinite(self.rotation).all((1, 2)) & np.isfinite(self.centre).all(1))
 
 
 class Points(NamedTuple):
-    """Object points; NaN where coordinates are not known."""
+    """Object points with their coordinates; NaN where unknown."""
 
     names: tuple[str, ...]
     coordinates: Float[np.ndarray, "point 3"]
 
 
 class RayTable(NamedTuple):
-    """Measured image points by the numbers of their image and point."""
+    """Measured image points with the numbers of their image and point."""
 
     image: Int[np.ndarray, " ray"]
     point: Int[np.ndarray, " ray"]
@@ -61,7 +61,7 @@ class RayTable(NamedTuple):
 
 
 class Known(NamedTuple):
-    """Known coordinates of an object point or a projection centre: NaN, or an infinite sigma, is not observed."""
+    """Known coordinates of an object point or a projection centre; NaN or an infinite sigma means not observed."""
 
     name: str
     coordinates: tuple[float, float, float]
@@ -80,10 +80,10 @@ class Distance(NamedTuple):
 
 @dataclass(frozen=True, eq=False)
 class ForeignBlock:
-    """A block as another program wrote it."""
+    """A block as written by another program."""
 
     format: str
-    """What the file is, such as "COLMAP model"."""
+    """Name of the format, such as "COLMAP model"."""
     name: str
     cameras: tuple[ForeignCamera, ...]
     images: Images
@@ -92,53 +92,53 @@ class ForeignBlock:
     control: tuple[Known, ...] = ()
     stations: tuple[Known, ...] = ()
     attitudes: tuple[Known, ...] = ()
-    """Angles omega, phi, kappa in radians in the place of coordinates."""
+    """Rows with the angles omega, phi, kappa in radians instead of coordinates."""
     distances: tuple[Distance, ...] = ()
     coordinate_system: str = ""
-    """Text of the coordinate reference system as the file has it."""
+    """Text of the coordinate reference system in the file."""
     arbitrary: bool = False
-    """Whether origin, axes and scale of the object system mean nothing."""
+    """Whether origin, axes and scale of the object system are arbitrary."""
     sigma: float = 1.0
-    """Standard deviation of image coordinates, unit of the rays, where the file has none."""
+    """Default standard deviation of image coordinates, in the unit of the rays, for files without one."""
     assumptions: tuple[str, ...] = ()
-    """What the file does not tell and was assumed, each the end of "Assumed: "."""
+    """Assumptions about unknown values, each the end of a sentence "assumed that ..."."""
     findings: tuple[Finding, ...] = ()
     alternatives: tuple["Alternative", ...] = field(default=(), repr=False)
-    """Other readings of the same file that its grammar allows."""
+    """Other interpretations of the same file that its grammar allows."""
     reading: str = ""
-    """What this reading takes for granted, where there are others."""
+    """Assumptions of this interpretation, where there are others."""
 
 
 class Alternative(NamedTuple):
-    """Another reading of a file, in words such as "matrix transposed"."""
+    """Another interpretation of a file, in words such as "matrix transposed"."""
 
     words: str
     changed: Callable[[ForeignBlock], ForeignBlock]
 
 
 def triple(values: Iterable[float]) -> tuple[float, float, float]:
-    """Three numbers."""
+    """The vector of three numbers."""
     x, y, z = values
     return float(x), float(y), float(z)
 
 
 def element(camera: ForeignCamera, name: str) -> float:
-    """An interior element; what is absent is 0, of the pixel size 1, of the axis -1 where v points down."""
+    """The value of an interior element; absent elements are 0, the pixel size 1, the axis -1 where v points down."""
     absent = {"pixel_size": 1.0, "y_axis": -1.0 if camera.image_unit == "px" else 1.0}
     return float(camera.elements.get(name, absent.get(name, 0.0)))
 
 
 class ReadOptions(NamedTuple):
-    """What a user tells of a file that does not tell it itself."""
+    """Information from the user that a file does not contain."""
 
     image_size: tuple[int, int] | None = None
-    """Width and height of the images in px, of formats that have none or have that of reduced images."""
+    """Width and height of the images in px, for formats without it, or with the size of reduced images."""
     interior: tuple[float, float, float] | None = None
-    """Principal distance and principal point in px, of formats without an interior orientation."""
+    """Principal distance and principal point in px, for formats without an interior orientation."""
     pixel_size: float | None = None
-    """mm per px, of formats whose image coordinates are in mm without one."""
+    """mm per px, for formats in mm without a pixel size."""
     chunk: str = ""
-    """Label of the chunk to be read of a Metashape project with several."""
+    """Label of the chunk to read from a Metashape project with several chunks."""
 
 
 DEFAULT = ReadOptions()

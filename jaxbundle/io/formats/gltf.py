@@ -7,17 +7,17 @@ import numpy as np
 from jaxtyping import Float, Int
 
 from jaxbundle.io.formats.source import json_of, wrong
-from jaxbundle.io.text import require_bytes
+from jaxbundle.io.text_files import require_bytes
 
 EXTENSION = "OPF_mesh_primitive_matches"
 COMPONENTS = {5120: "i1", 5121: "u1", 5122: "i2", 5123: "u2", 5125: "u4", 5126: "f4"}
 SIZES = {"SCALAR": 1, "VEC2": 2, "VEC3": 3, "VEC4": 4}
-OFFSET_BITS = 40  # of a range of 64 bits: where its rays begin, then how many there are
+OFFSET_BITS = 40  # of a range of 64 bits: first ray, then number of rays
 CURE = "export the project again"
 
 
 class Tracks(NamedTuple):
-    """Points in the processing frame, and their rays; `lost`: rays on images that are not known."""
+    """Points in the processing frame, and their rays; `lost`: number of rays on unknown images."""
 
     points: Float[np.ndarray, "point 3"]
     image: Int[np.ndarray, " ray"]
@@ -27,9 +27,9 @@ class Tracks(NamedTuple):
 
 
 def read_tracks(path: Path, images: dict[int, int]) -> Tracks | None:
-    """The tracks of a file; None where it has no matches. `images`: numbers of images by their id.
+    """Reads the tracks of a file; None where it has no matches. `images`: numbers of images by their id.
 
-    Raises: BlockError where the file is not whole.
+    Raises: BlockError where the file is incomplete.
     """
     content = json_of(path)
     try:
@@ -57,7 +57,7 @@ def _tracks(path: Path, content: Any, primitive: Any, images: dict[int, int]) ->
     if len(start) != len(points) or ((start + count) > len(camera)).any() or len(xy) != len(camera):
         raise wrong(path, 0, "the numbers of points, ranges and image points differ", CURE)
     if (camera >= len(uids)).any() or not np.isfinite(points).all() or not np.isfinite(xy).all():
-        raise wrong(path, 0, "a ray names a camera that is not there, or has coordinates that are not finite", CURE)
+        raise wrong(path, 0, "a ray refers to a missing camera, or has coordinates that are not finite", CURE)
     ray = np.repeat(start - (np.cumsum(count) - count), count) + np.arange(count.sum())
     point, image = np.repeat(np.arange(len(points)), count), uids[camera[ray]]
     known = image >= 0
@@ -65,7 +65,7 @@ def _tracks(path: Path, content: Any, primitive: Any, images: dict[int, int]) ->
 
 
 def _upright(content: Any, points: Float[np.ndarray, "point 3"]) -> Float[np.ndarray, "point 3"]:
-    """The points as the matrix of their node has them, with y up, as z up."""
+    """The points of a node with y up, transformed by its matrix, with z up."""
     matrix = np.eye(4)
     for node in content.get("nodes", []):
         if "mesh" in node and "matrix" in node:
@@ -76,12 +76,12 @@ def _upright(content: Any, points: Float[np.ndarray, "point 3"]) -> Float[np.nda
 
 
 def _array(path: Path, content: Any, number: int) -> np.ndarray:
-    """The rows of an accessor."""
+    """The rows of one accessor."""
     accessor = content["accessors"][number]
     view = content["bufferViews"][accessor["bufferView"]]
     uri = content["buffers"][view["buffer"]]["uri"]
     if ".." in Path(uri).parts or Path(uri).is_absolute():
-        raise wrong(path, 0, "a buffer lies outside of the project", CURE)
+        raise wrong(path, 0, "a buffer is outside the project", CURE)
     data = require_bytes(path.parent / uri)
     kind, size, count = (
         np.dtype("<" + COMPONENTS[accessor["componentType"]]),

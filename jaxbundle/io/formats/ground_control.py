@@ -1,12 +1,12 @@
-"""Control, stations and attitudes from tables beside a block.
+"""Reading control, stations and attitudes from additional tables of a foreign block.
 
     gcp_list.txt     line 1: coordinate system; then x y z u v image [name]      u, v from the centre of the first pixel
     geo.txt          line 1: coordinate system; then image x y [z [yaw pitch roll [sigma_horizontal sigma_vertical]]]
     control.csv      point,X,Y,Z,sX,sY,sZ[,role] with a header, as in a block folder; no image coordinates
 
-x is easting or longitude, y northing or latitude, whatever the coordinate system says of its order. A point is known by
-its name where it has one, else by its coordinates. Source: OpenDroneMap's documentation, "Ground Control Points" and
-"Image Geolocation Files".
+x is easting or longitude, y northing or latitude, independent of the axis order of the coordinate system. A point is
+identified by its name, without a name by its coordinates. Source: OpenDroneMap's documentation, "Ground Control Points"
+and "Image Geolocation Files".
 """
 
 import csv
@@ -24,15 +24,15 @@ from jaxbundle.io.formats.source import AGAIN, lines_of, numbers
 from jaxbundle.io.near_names import nearest
 from jaxbundle.io.noted import Noted
 
-CONTROL_SIGMA = (0.05, 0.1)  # m, in plan and height: signalised points by GNSS, where a table has no sigmas
+CONTROL_SIGMA = (0.05, 0.1)  # m, in plan and height, for tables without sigmas: signalised points measured by GNSS
 STATION_SIGMA = (5.0, 30.0)  # m, in plan and height: navigation receivers of cameras, barometric heights
 NADIR = 90.0  # deg: this table counts the pitch from the nadir, a gimbal from the horizon
-CLOSE = 1.0  # m: two points of different coordinates and no name that lie so near are likely one
+CLOSE = 1.0  # m: two points without names that are closer than this are probably the same point
 
 
 @dataclass(frozen=True)
 class GroundControl:
-    """What a table of control tells: points, their rays as (point, image, u, v), and its coordinate system."""
+    """Content of a table of control: points, their rays as (point, image, u, v), and its coordinate system."""
 
     points: tuple[Known, ...]
     rays: tuple[tuple[str, str, float, float], ...]
@@ -41,11 +41,11 @@ class GroundControl:
 
 
 def read_control(path: Path, sigma: tuple[float, float] | None = None) -> GroundControl:
-    """A gcp_list.txt or a table with header, told apart by the first line.
+    """Reads a gcp_list.txt or a table with header, distinguished by the first line.
 
-    `sigma`: standard deviations in plan and height of a table without them.
+    `sigma`: standard deviations in plan and height, for a table without them.
 
-    Raises: BlockError with all that is wrong.
+    Raises: BlockError with all problems.
     """
     lines = lines_of(path)
     first = next((line for line in lines if line.strip()), "")
@@ -67,7 +67,7 @@ def _split(line: str) -> list[str]:
 
 
 def _columns(line: str) -> list[str]:
-    """The columns of a header by the names here, from those of Metashape as well: #Label, X/Easting, Y/Northing."""
+    """The columns of a header; names of Metashape are accepted: #Label, X/Easting, Y/Northing."""
     fields = [field.strip().lower().lstrip("#").strip() for field in _split(line)]
     names = {"label": "point", "name": "point", "id": "point", "easting": "x", "northing": "y", "altitude": "z"}
     return [names.get(field, field.partition("/")[0] if field[:2] in ("x/", "y/", "z/") else field) for field in fields]
@@ -95,7 +95,7 @@ def _gcp_list(path: Path, lines: list[str], noted: Noted, sigma: tuple[float, fl
         name = fields[6] if len(fields) > 6 and fields[6] else f"({fields[0]}, {fields[1]}, {fields[2]})"
         other = coordinates.setdefault(name, place)
         if not np.array_equal(np.array(other), np.array(place), equal_nan=True):
-            what = f"point {shown(name)} has two places, {_shown(other)} and {_shown(place)}; the first is used"
+            what = f"point {shown(name)} has two positions, {_shown(other)} and {_shown(place)}; the first is used"
             cure = "give both rows the same coordinates, or other names"
             findings.append(Finding(Kind.INFORMATION, what, cure, grade=Severity.CHECK))
         rays.append((name, fields[5], u + 0.5, v + 0.5))
@@ -108,7 +108,7 @@ def _gcp_list(path: Path, lines: list[str], noted: Noted, sigma: tuple[float, fl
 
 
 def _header(lines: Sequence[str]) -> tuple[str, int]:
-    """The coordinate system and where the rows begin; "" where the first line is a row already."""
+    """The coordinate system and the number of the first row; "" where the first line already is a row."""
     for k, line in enumerate(lines):
         if line.strip() and not line.lstrip().startswith("#"):
             fields = line.split()
@@ -125,7 +125,7 @@ def _shown(place: tuple[float, float, float]) -> str:
 
 
 def _close(coordinates: dict[str, tuple[float, float, float]]) -> list[Finding]:
-    """Points that may be one, as their coordinates nearly agree."""
+    """A finding about points that may be the same, as their coordinates nearly agree."""
     names = list(coordinates)
     values = np.nan_to_num(np.array(list(coordinates.values()), float).reshape(-1, 3))
     if len(names) > 1000 or (np.abs(values[:, :2]) <= 360).all():  # degrees, or too many to compare
@@ -148,7 +148,7 @@ def _assumed_sigma(path: Path, plan: float, height: float) -> Finding:
 
 
 def _table(path: Path, lines: list[str], noted: Noted, sigma: tuple[float, float] | None) -> GroundControl:
-    """A table with a header: point, X, Y, Z and, where they are there, sX, sY, sZ and role."""
+    """Reads a table with a header: point, X, Y, Z and, if present, sX, sY, sZ and role."""
     header: list[str] = []
     points: list[Known] = []
     plan, height = sigma or CONTROL_SIGMA
@@ -181,7 +181,7 @@ def _table(path: Path, lines: list[str], noted: Noted, sigma: tuple[float, float
 
 
 def with_control(foreign: ForeignBlock, control: GroundControl) -> ForeignBlock:
-    """The block with control points, their rays, and those of its own points that have the names of control points."""
+    """Adds control points and their rays to the block; points with the same names become control points."""
     images = {name: k for k, name in enumerate(foreign.images.names)}
     stems = _stems(foreign.images.names)
     points = {name: k for k, name in enumerate(foreign.points.names)}
@@ -210,7 +210,7 @@ def with_control(foreign: ForeignBlock, control: GroundControl) -> ForeignBlock:
         distinct = list(dict.fromkeys(lost))
         match = nearest(distinct[:20], foreign.images.names)
         meant = f"; did you mean {next(iter(match.pairs.values()))}?" if match and match.pairs else ""
-        what = f"{len(lost)} rays of control are on {len(distinct)} images that the block does not have, such as"
+        what = f"{len(lost)} rays of control are on {len(distinct)} images that are not in the block, such as"
         grade = Severity.CHECK if rows else Severity.FAILED
         cure = f"compare the names of the images{meant}"
         findings.append(Finding(Kind.NOT_USED, f"{what} {distinct[0]}", cure, grade=grade))
@@ -235,7 +235,7 @@ def _stems(names: tuple[str, ...]) -> dict[str, int]:
 
 @dataclass(frozen=True)
 class Positions:
-    """What a table of image positions tells; `attitudes`: yaw, pitch and roll of a gimbal in degrees."""
+    """Content of a table of image positions; `attitudes`: yaw, pitch and roll of a gimbal in degrees."""
 
     stations: tuple[Known, ...]
     attitudes: tuple[Known, ...]
@@ -244,9 +244,9 @@ class Positions:
 
 
 def read_positions(path: Path, sigma: tuple[float, float] | None = None) -> Positions:
-    """A geo.txt.
+    """Reads a geo.txt with positions of images.
 
-    Raises: BlockError with all that is wrong.
+    Raises: BlockError with all problems.
     """
     noted, lines = Noted(), lines_of(path)
     system, at = next(((line.strip(), k + 1) for k, line in enumerate(lines) if line.strip()), ("", len(lines)))
@@ -280,7 +280,7 @@ def read_positions(path: Path, sigma: tuple[float, float] | None = None) -> Posi
 
 
 def with_stations(foreign: ForeignBlock, positions: Positions) -> ForeignBlock:
-    """The block with observed projection centres, by the names of its images, extension and case aside."""
+    """Adds observed projection centres to the block; names of images match without extension and case."""
     stems = _stems(foreign.images.names)
     images = {name: k for k, name in enumerate(foreign.images.names)}
 

@@ -1,4 +1,4 @@
-"""Inpho projects (.prj) of Match-AT and OrthoMaster.
+"""Reading Inpho projects (.prj) of Match-AT and OrthoMaster.
 
     $SECTION [: value] ... $END,  $KEY : value, rows of data below a key
     pixel = A (x, y) mm + (u0, v0)      $CCD_INTERIOR_ORIENTATION, two rows; CenterTopLeft: half a pixel is added
@@ -20,14 +20,14 @@ from jaxbundle.io.formats.collected import CONTROL, CONTROL_SIGMAS, IN_PX, Colle
 from jaxbundle.io.formats.foreign_block import DEFAULT, Alternative, ForeignBlock, ForeignCamera, Known, ReadOptions
 from jaxbundle.io.formats.source import AGAIN, lines_of, numbers
 from jaxbundle.io.noted import Noted
-from jaxbundle.io.text import UnreadableError, file_bytes
+from jaxbundle.io.text_files import UnreadableError, file_bytes
 
 HEAD = b"$PROJECT"
 ENDS = ("$END", "$END_POINTS", "$END_COORDINATE_SYSTEM", "$ENDNAV")
 
 
 def is_inpho(path: Path) -> bool:
-    """Whether a file begins as a project of Inpho."""
+    """Whether a file begins like a project of Inpho."""
     try:
         return not path.is_dir() and file_bytes(path, len(HEAD) + 3).lstrip(b"\xef\xbb\xbf").startswith(HEAD)
     except UnreadableError:
@@ -43,9 +43,9 @@ class _Camera:
 
 
 def read_inpho(path: Path, options: ReadOptions = DEFAULT) -> ForeignBlock:
-    """The project of a file.
+    """Reads the project of a file.
 
-    Raises: BlockError with all that is wrong.
+    Raises: BlockError with all problems.
     """
     reader = _Reader(path)
     reader.read(lines_of(path))
@@ -53,7 +53,7 @@ def read_inpho(path: Path, options: ReadOptions = DEFAULT) -> ForeignBlock:
 
 
 class _Reader:
-    """Sections in their order; what has been read so far."""
+    """Content that was read so far, section by section."""
 
     def __init__(self, path: Path):
         self.path, self.noted, self.found = path, Noted(), Collected()
@@ -159,7 +159,7 @@ class _Reader:
         self.found.control[fields[0]] = Known(fields[0], place, sigmas)
 
     def block(self) -> ForeignBlock:
-        """The block. Raises: BlockError with all that was noted."""
+        """Makes the block. Raises: BlockError with all noted problems."""
         names, cameras, forms = list(self.cameras), [], []
         for name in names:
             camera, form = self._camera(name)
@@ -198,13 +198,13 @@ class _Reader:
         )
 
     def _camera(self, name: str) -> tuple[ForeignCamera, Float[np.ndarray, "2 3"]]:
-        """A camera, and the matrix that makes its rays of mm."""
+        """A camera, and the matrix that transforms its rays from mm."""
         values, rows = self.cameras[name].values, self.cameras[name].matrix
         c = values.get("$FOCAL_LENGTH", [0.0])[0]
         if not c > 0:
             self.noted.add(self.path.name, 0, f"camera {shown(name)} has no $FOCAL_LENGTH", AGAIN)
         if any(values.get("$CAMERA_MOUNT_ROTATION", [0.0])):
-            cure = "turn the camera in the project to 0, or export it without rotation"
+            cure = "set the mount rotation in the project to 0, or export it without rotation"
             self.noted.add(self.path.name, 0, f"camera {shown(name)} has a mount rotation, which is not read", cure)
         point = np.array([*values.get("$PRINCIPAL_POINT_PPA", []), 0.0, 0.0][:2])
         if [len(row) for row in rows] != [3, 3]:
@@ -220,5 +220,5 @@ class _Reader:
         size = [values.get(key, [0.0])[0] for key in ("$CCD_COLUMNS", "$CCD_ROWS")]
         width, height = (int(side) if 1 <= side < 1e8 else None for side in size)
         if form[1, 0]:
-            self.noted.add(self.path.name, 0, f"camera {shown(name)} has turned pixel axes, which are not read", AGAIN)
+            self.noted.add(self.path.name, 0, f"camera {shown(name)} has rotated pixel axes, which are not read", AGAIN)
         return ForeignCamera(name, METASHAPE, elements, (), "px", width, height), form

@@ -1,4 +1,4 @@
-"""Points that a file does not give, from rays and orientations: closest to the rays, then least squares in the image.
+"""Intersecting points without coordinates: closest point to the rays, then least squares in the image.
 
 Gauss-Newton steps take the derivatives of the projection without distortion, which converge to the same minimum.
 """
@@ -19,12 +19,12 @@ from jaxbundle.io.formats.misfit import cameras_by_model, interior_of, origin_of
 from jaxbundle.numerics.shapes import grid_size
 from jaxbundle.orientation.intersection import closest_to_rays
 
-STEPS = 4  # of Gauss-Newton: the second is below the precision of image coordinates
-FLAT = 1e-12  # of the determinant of the normal equations, scaled: rays are parallel
+STEPS = 4  # steps of Gauss-Newton: the second one is below the precision of image coordinates
+FLAT = 1e-12  # of the scaled determinant of the normal equations: below this the rays are parallel
 
 
 def with_intersections(foreign: ForeignBlock) -> ForeignBlock:
-    """The block in which points without coordinates have those of their rays, where two images or more see them."""
+    """The block in which missing coordinates are intersected from the rays of two or more images."""
     points = foreign.points.coordinates
     missing = np.asarray(np.isnan(points).any(1))
     rays, images = foreign.rays, foreign.images
@@ -53,7 +53,7 @@ def _program(model: CameraModel) -> Callable:
 
 
 def _directions(foreign: ForeignBlock, some: np.ndarray) -> Float[np.ndarray, "3 ray"]:
-    """Unit vectors along some rays in the system of the photograph."""
+    """Unit vectors along rays in the system of the photograph."""
     camera = foreign.images.camera[foreign.rays.image[some]]
     along = np.full((3, len(some)), np.nan)
     for model, own in cameras_by_model(foreign).items():
@@ -68,7 +68,7 @@ def _directions(foreign: ForeignBlock, some: np.ndarray) -> Float[np.ndarray, "3
 def _improved(
     foreign: ForeignBlock, points: Float[np.ndarray, "point 3"], some: np.ndarray, missing: Bool[np.ndarray, " point"]
 ) -> Float[np.ndarray, "point 3"]:
-    """A Gauss-Newton step of every missing point; those that a step would spoil stay."""
+    """A Gauss-Newton step of each missing point; points that a step would make worse are unchanged."""
     rays, images = foreign.rays, foreign.images
     v, _ = ray_residuals(foreign, points)
     px, py, pz = photo_vectors(foreign, some, points, origin_of(foreign))

@@ -1,12 +1,12 @@
-"""Metashape projects (.psx, .psz), their doc.xml, and the XML of exported cameras and markers.
+"""Reading Metashape projects (.psx, .psz), their doc.xml, and the XML of exported cameras and markers.
 
     X0 = s R c + t,  R_jb = R R_cam D         chunk transform (R, t, s); 4x4 matrix chunk_from_camera of a camera
     u = W/2 + cx + f x' + b1 x' + b2 y'       the camera model `metashape`; cx, cy from the image centre
 
-Old files have fx, fy, skew and absolute cx, cy. With a geographic or projected reference the chunk transform leads to
-geocentric coordinates, which are kept; control is brought there. Tie points are read from .psz (point_cloud of PLY
-files). Source: Agisoft Metashape user manual, appendix "Camera models"; the elements as projects of versions 1.2 to
-1.5 have them.
+Old files have fx, fy, skew and absolute cx, cy. With a geographic or projected reference the chunk transform gives
+geocentric coordinates. They are not changed; control is transformed to them. Tie points are read from .psz (point_cloud
+of PLY files). Source: Agisoft Metashape user manual, appendix "Camera models"; the elements are those of projects of
+versions 1.2 to 1.5.
 """
 
 import math
@@ -35,10 +35,10 @@ from jaxbundle.io.formats.foreign_block import (
     ReadOptions,
 )
 from jaxbundle.io.formats.metashape_archive import Archive
-from jaxbundle.io.formats.ply import ply_vertices
+from jaxbundle.io.formats.ply_files import ply_vertices
 from jaxbundle.io.formats.source import XmlNumbers, child_text, wrong
 from jaxbundle.io.noted import Noted
-from jaxbundle.io.text import UnreadableError, file_bytes
+from jaxbundle.io.text_files import UnreadableError, file_bytes
 
 TERMS = {"k1": "K1", "k2": "K2", "k3": "K3", "k4": "K4", "p1": "P1", "p2": "P2", "b1": "b1", "b2": "b2"}
 SETTINGS = {
@@ -47,7 +47,7 @@ SETTINGS = {
     "accuracy_tiepoints": 1.0,
     "accuracy_scalebars": 0.001,
 }
-HEAD = 3000  # bytes that hold the root and a chunk
+HEAD = 3000  # bytes that contain the root and a chunk
 
 
 def is_metashape(path: Path) -> bool:
@@ -68,7 +68,7 @@ def _has_chunk(path: Path) -> bool:
 
 
 class _Transform(NamedTuple):
-    """X = scale R x + t."""
+    """The similarity X = scale R x + t."""
 
     rotation: Float[np.ndarray, "3 3"]
     translation: Float[np.ndarray, "3"]
@@ -79,9 +79,9 @@ class _Transform(NamedTuple):
 
 
 def read_metashape(path: Path, options: ReadOptions = DEFAULT) -> ForeignBlock:
-    """The first chunk of a project, or the one of a label.
+    """Reads the first chunk of a project, or the one with a label.
 
-    Raises: BlockError with all that is wrong.
+    Raises: BlockError with all problems.
     """
     archive = Archive(path)
     root = archive.document()
@@ -100,11 +100,11 @@ def _chunk(path: Path, root: ElementTree.Element, label: str) -> tuple[ElementTr
     if label or len(chunks) == 1:
         return chunks[labels.index(label) if label else 0], ()
     what = f"the project has {len(chunks)} chunks; {shown(labels[0])} was read"
-    return chunks[0], (Finding(Kind.UNUSED, what, "name another with --chunk", grade=Severity.CHECK),)
+    return chunks[0], (Finding(Kind.UNUSED, what, "choose another one with --chunk", grade=Severity.CHECK),)
 
 
 class _Reader:
-    """One chunk."""
+    """Content of one chunk."""
 
     def __init__(self, path: Path, archive: Archive, chunk: ElementTree.Element):
         self.path, self.archive, self.chunk, self.noted = path, archive, chunk, Noted()
@@ -130,10 +130,10 @@ class _Reader:
         return _Transform(rotation, translation, self.numbers.of(self.chunk, "transform/scale", what, 1.0))
 
     def block(self, findings: tuple[Finding, ...]) -> ForeignBlock:
-        """The block. Raises: BlockError with all that was noted."""
+        """Makes the block. Raises: BlockError with all noted problems."""
         cameras, number_of_sensor = self._sensors()
         ids, images = self._cameras(number_of_sensor)
-        with np.errstate(all="ignore"):  # values that are not finite are reported there
+        with np.errstate(all="ignore"):  # values that are not finite are reported by that function
             ties, coordinates, rays = self._tie_points(ids)
         control, marks = self._markers(ids, len(ties))
         names = [*ties, *(name for name in marks.names)]
@@ -172,9 +172,9 @@ class _Reader:
     def _assumptions(self) -> tuple[str, ...]:
         s = self.settings
         ties = f"tie points have a standard deviation of {s['accuracy_tiepoints']:g} px and markers of"
-        words = (f"{ties} {s['accuracy_projections']:g} px, as the settings of the chunk say",)
+        words = (f"{ties} {s['accuracy_projections']:g} px, from the settings of the chunk",)
         if self._is_geocentric():
-            words += ("object coordinates are geocentric (EPSG:4978), as the chunk has them",)
+            words += ("object coordinates are geocentric (EPSG:4978), as in the chunk",)
         return words
 
     def _is_geocentric(self) -> bool:
@@ -183,7 +183,7 @@ class _Reader:
     def _in_chunk_system(self, rows: tuple[Known, ...]) -> tuple[Known, ...]:
         """References of a geographic or projected system as geocentric coordinates.
 
-        Sigmas along the axes of a local system become those of a sphere, the smallest of the three.
+        Sigmas along the axes of a local system are replaced by the minimum of the three.
         """
         if not rows or not self._is_geocentric() or is_geocentric(self.system):
             return rows
@@ -242,7 +242,7 @@ class _Reader:
         return ForeignCamera(name, model, elements, estimate, "px", *size)
 
     def _nominal(self, sensor: ElementTree.Element, what: str) -> float:
-        """Principal distance in px of a camera that was not calibrated."""
+        """Approximate principal distance in px of a camera that was not calibrated."""
         values = []
         for name in ("focal_length", "pixel_width"):
             one = sensor.find(f"property[@name='{name}']")
@@ -276,7 +276,7 @@ class _Reader:
         )
 
     def _tie_points(self, ids: dict[str, int]) -> tuple[list[str], np.ndarray, np.ndarray]:
-        """Names and coordinates of tie points, and rays (image, point, x, y)."""
+        """Reads names and coordinates of tie points, and rays (image, point, x, y)."""
         cloud = self.chunk.find(".//point_cloud")
         nothing = [], np.zeros((0, 3)), np.zeros((0, 4))
         file = None if cloud is None else cloud.find("points")
@@ -306,7 +306,7 @@ class _Reader:
         return [f"tie {number}" for number in numbers.tolist()], self.transform(places), table
 
     def _markers(self, ids: dict[str, int], first: int) -> tuple[tuple[Known, ...], "_Marks"]:
-        """References of markers, and their measured rays (image, point, x, y)."""
+        """Reads the references of markers, and their measured rays (image, point, x, y)."""
         known, names, position = [], [], {}
         for one in self.chunk.findall("markers//marker"):
             number, label = one.get("id", ""), one.get("label") or f"marker {one.get('id')}"
@@ -356,7 +356,7 @@ class _Reader:
 
 
 class _Marks(NamedTuple):
-    """Markers and their rays."""
+    """Adds markers and their rays."""
 
     names: tuple[str, ...]
     rays: Float[np.ndarray, "ray 4"]

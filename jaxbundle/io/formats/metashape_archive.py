@@ -1,4 +1,4 @@
-"""The files of a Metashape project: a folder, a .psz, or a .psx beside its .files with zip archives."""
+"""Access to the files of a Metashape project: a folder, a .psz, or a .psx with its .files folder of zip archives."""
 
 import io
 import zipfile
@@ -7,13 +7,13 @@ from xml.etree import ElementTree
 
 from jaxbundle.block.problems import BlockError, shown
 from jaxbundle.io.formats.source import tree_of, wrong
-from jaxbundle.io.text import UnreadableError, file_bytes
+from jaxbundle.io.text_files import UnreadableError, file_bytes
 
-MAX_MEMBER = 2**31  # bytes of one file in an archive
+MAX_MEMBER = 2**31  # maximum bytes of one file in an archive
 
 
 class Archive:
-    """The files of a project: a folder, or zip archives one within another."""
+    """The files of a project: a folder, or nested zip archives."""
 
     def __init__(self, path: Path):
         self.path = path
@@ -33,7 +33,7 @@ class Archive:
             self.folder = path.parent
 
     def read(self, name: str) -> bytes | None:
-        """A file by its name in the project; None where there is none."""
+        """The content of a file with this name in the project; None where there is none."""
         if self.folder is not None:
             try:
                 return file_bytes(self.folder / name)
@@ -42,7 +42,7 @@ class Archive:
         return self.parts.get(name)
 
     def document(self) -> ElementTree.Element:
-        """The root of doc.xml, with the frame that a .psx keeps apart."""
+        """The root of doc.xml, with the frame that a .psx has in a separate file."""
         data = self.read("doc.xml")
         if self.path.is_file() and not self.parts and self.folder is not None:
             data = file_bytes(self.path)
@@ -67,7 +67,7 @@ def _starts(path: Path, begin: bytes) -> bool:
 
 
 def _members(path: Path) -> dict[str, bytes]:
-    """Files of a zip archive. Raises: BlockError for one that is damaged."""
+    """The files of a zip archive. Raises: BlockError for a damaged archive."""
     try:
         with zipfile.ZipFile(io.BytesIO(file_bytes(path))) as archive:
             large = [one.filename for one in archive.infolist() if one.file_size > MAX_MEMBER]
@@ -78,6 +78,6 @@ def _members(path: Path) -> dict[str, bytes]:
     except (zipfile.BadZipFile, NotImplementedError, RuntimeError, EOFError, ValueError, OSError) as error:
         if isinstance(error, BlockError):
             raise
-        raise wrong(path, 0, f"the archive is damaged: {shown(str(error))}", "take it from its source again") from error
+        raise wrong(path, 0, f"the archive is damaged: {shown(str(error))}", "copy or save it again") from error
     except UnreadableError as error:
         raise wrong(path, 0, error.what, error.cure) from error

@@ -1,6 +1,6 @@
-"""A block for formats of aerial triangulation: cameras in mm from the image centre, y up, free of distortion.
+"""Converting a block for formats of aerial triangulation: cameras in mm from the image centre, y up, no distortion.
 
-px become mm by the pixel size, of a camera without one by a nominal size; the principal point stays where it is.
+px become mm by the pixel size, or by a nominal size for a camera without one. The principal point is unchanged.
 """
 
 import dataclasses
@@ -14,7 +14,7 @@ from jaxbundle.io.formats.written import NOMINAL_PIXEL, foreign_block, in_pixels
 
 
 def in_mm(block: Block) -> tuple[ForeignBlock, list[str]]:
-    """The block in mm, and what that changes."""
+    """The block in mm, and sentences about what that changes."""
     own, written = foreign_block(block), in_pixels(block, is_free)
     foreign = written.foreign
     losses = [words for words in written.losses if "mm are written" not in words]

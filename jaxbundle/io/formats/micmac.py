@@ -1,4 +1,4 @@
-"""MicMac: a folder of orientations (Ori-*), ground points and their measurements, homologous points.
+"""Reading and writing MicMac: a folder of orientations (Ori-*), ground points with measurements, homologous points.
 
     Orientation-IMAGE.xml    Centre, ParamRotation: rows L1 L2 L3 of world from camera, or three angles; FileInterne
     AutoCal*.xml             PP, F, SzIm, CalibDistortion
@@ -8,7 +8,7 @@
 
 X_c = L^T (X - Centre), q = PP + F (X_c / Z_c, Y_c / Z_c), image = CDist + (q - CDist)(1 + a1 r^2 + a2 r^4 + ...): the
 camera model `metashape` with K_i = a_i F^2i where CDist is PP. R_jb = L D. Scanned film has mm, y down; OrIntImaM2C
-brings them to the pixels of the scan. Source: MicMac documentation, "Geometric formats and conventions" (IGN).
+transforms them to the pixels of the scan. Source: MicMac documentation, "Geometric formats and conventions" (IGN).
 """
 
 from pathlib import Path
@@ -35,12 +35,12 @@ ANGLES = {
     "eConvAngPhotoMDegre": np.pi / 180,
     "eConvAngPhotoMGrade": np.pi / 200,
 }
-SAME_CENTRE = 1e-9  # of F: centre of distortion and principal point are one
-FEW_DIGITS = 1e-6  # of a pair's coordinates, px: two measurements of one point
+SAME_CENTRE = 1e-9  # share of F: below it, centre of distortion and principal point are equal
+FEW_DIGITS = 1e-6  # px, tolerance of the coordinates of pairs: two measurements of one point
 
 
 def is_micmac(path: Path) -> bool:
-    """Whether a folder holds orientations of MicMac, or has one folder Ori-* that does."""
+    """Whether a folder contains orientations of MicMac, or one folder Ori-* with them."""
     return path.is_dir() and _folder(path) is not None
 
 
@@ -52,11 +52,11 @@ def _folder(path: Path) -> Path | None:
 
 
 def read_micmac(path: Path, options: ReadOptions = DEFAULT) -> ForeignBlock:
-    """The orientations of a folder with what is measured beside it.
+    """Reads the orientations of a folder, and its ground points and homologous points.
 
-    Without ground points and homologous points the rays are those that each orientation brings to verify it.
+    Without ground points and homologous points the verification points in the orientation files are the rays.
 
-    Raises: BlockError with all that is wrong.
+    Raises: BlockError with all problems.
     """
     folder = _folder(path) or path
     reader = _Reader(folder)
@@ -74,7 +74,7 @@ def read_micmac(path: Path, options: ReadOptions = DEFAULT) -> ForeignBlock:
 
 
 class _Verified(NamedTuple):
-    """A point that an orientation is verified by."""
+    """A verification point of an orientation."""
 
     image: str
     name: str
@@ -83,7 +83,7 @@ class _Verified(NamedTuple):
 
 
 class _Reader:
-    """What has been read of a project."""
+    """Content of a project that was read so far."""
 
     def __init__(self, folder: Path):
         self.folder, self.noted, self.found = folder, Noted(), Collected()
@@ -93,7 +93,7 @@ class _Reader:
         self.findings: list[Finding] = []
 
     def orientation(self, path: Path) -> None:
-        """One image."""
+        """Reads one image."""
         root, image = tree_of(path), path.name[len(PREFIX) : -len(SUFFIX)]
         one = root if local(root) == "OrientationConique" else root.find(".//OrientationConique")
         read = XmlNumbers(path, self.noted)
@@ -131,7 +131,7 @@ class _Reader:
         return rotations.from_angles(angles[None] * ANGLES[convention])[0] @ rotations.DOWN_FORWARD
 
     def _interior(self, path: Path, one: ElementTree.Element) -> str:
-        """The name of the image's camera, which is read where it is new."""
+        """The name of the image's camera; a new camera is read."""
         inside, file = one.find("Interne"), child_text(one, "FileInterne")
         name = Path(file).stem if file else f"camera of {path.name[len(PREFIX) : -len(SUFFIX)]}"
         if name in self.cameras:
@@ -180,7 +180,7 @@ class _Reader:
     def _distortion(
         self, path: Path, model: ElementTree.Element, camera: tuple[float, np.ndarray], read: XmlNumbers
     ) -> dict[str, float]:
-        """Coefficients of c = 1."""
+        """Distortion coefficients for c = 1."""
         f, point = camera
         cure = "export a calibration of the models ModRad or ModPhgrStd, or undistort the images"
         radial = model if local(model) == "ModRad" else model.find("RadialePart")
@@ -202,7 +202,7 @@ class _Reader:
         return terms
 
     def ground_points(self, path: Path) -> None:
-        """Coordinates of ground points."""
+        """Reads the coordinates of ground points."""
         read = XmlNumbers(path, self.noted)
         for one in tree_of(path).iter("OneAppuisDAF"):
             name, place = child_text(one, "NamePt"), read.array(child_text(one, "Pt"), 3, "Pt")
@@ -212,7 +212,7 @@ class _Reader:
                 self.control[name] = Known(name, (x, y, z), (sx, sy, sz))
 
     def measurements(self, path: Path) -> None:
-        """Image coordinates of ground points."""
+        """Reads the image coordinates of ground points."""
         read = XmlNumbers(path, self.noted)
         for image in tree_of(path).iter("MesureAppuiFlottant1Im"):
             name = child_text(image, "NameIm")
@@ -227,7 +227,7 @@ class _Reader:
         self.found.ray(image, point, x, down * y)
 
     def homologous(self, project: Path) -> None:
-        """Tie points from pairs: measurements at the same place of an image are one."""
+        """Tie points from pairs: measurements with the same image coordinates are one ray."""
         parent: dict[tuple[str, int, int], tuple[str, int, int]] = {}
 
         def root(one: tuple[str, int, int]) -> tuple[str, int, int]:
@@ -256,13 +256,13 @@ class _Reader:
                 self._ray(key[0], names.setdefault(root(key), f"tie {len(names) + 1}"), x, y)
 
     def verified(self) -> None:
-        """Rays of the points that the orientations bring themselves."""
+        """Rays of the verification points in the orientation files."""
         for check in self.checks:
             self._ray(check.image, check.name, *check.xy)
             self.found.coordinates[check.name] = check.place
 
     def block(self, path: Path) -> ForeignBlock:
-        """The block. Raises: BlockError with all that was noted."""
+        """Makes the block. Raises: BlockError with all noted problems."""
         if not self.found.images:
             self.noted.add(path.name, 0, f"there is no {PREFIX}*{SUFFIX}", "give a folder Ori-*")
         if self.noted:
@@ -288,7 +288,7 @@ class _Reader:
 def write_micmac(block: Block, path: Path) -> list[str]:
     """Writes Ori-jaxbundle, Dico-Appuis.xml and Mesure-Appuis.xml into a folder; tie points as homologous pairs.
 
-    Returns: what has no place there.
+    Returns: sentences about what the format cannot represent.
     """
     written = in_pixels(block, _holds)
     foreign = written.foreign
@@ -367,7 +367,7 @@ def _write_measurements(foreign: ForeignBlock, path: Path, control: set[str]) ->
 
 
 def _write_pairs(foreign: ForeignBlock, path: Path, control: set[str]) -> None:
-    """Each tie point as pairs of its images, the first one with all others, in both directions."""
+    """Writes each tie point as pairs of its first image with each other image, in both directions."""
     rays, names = foreign.rays, [name.replace("/", "_") for name in foreign.images.names]
     pairs: dict[tuple[int, int], list[str]] = {}
     order = np.argsort(rays.point, kind="stable")

@@ -1,11 +1,11 @@
-"""How well the rays of a file fit its own orientations: what tells a wrong axis, a transposed matrix or a wrong unit.
+"""Misfit of the rays of a file at its own orientations; it detects a wrong axis, a transposed matrix or a wrong unit.
 
-    v = computed - observed at the file's own values, no adjustment
+    v = computed - observed at the values of the file, without adjustment
 
-Tie rays are held against the points of the file, or against their intersection where it has none; rays of control
-points against the known coordinates. A reading is judged by the root mean square of |v|, of which no ray counts more
-than the width of its image; a point behind the camera counts as much. So one wild ray decides nothing, and a reading
-that puts all points behind is the worst.
+Tie rays are compared with the points of the file, or with their intersection where the file has none; rays of
+control points with the known coordinates. The criterion is the root mean square of |v|. Each |v| is limited to the
+width of its image, and a point behind the camera counts as this width. So a single gross error does not decide, and an
+interpretation with all points behind the cameras is the worst.
 """
 
 from typing import NamedTuple
@@ -18,12 +18,13 @@ from jaxbundle.camera.model import CameraModel
 from jaxbundle.geometry.vectors import Vector
 from jaxbundle.io.formats.foreign_block import ForeignBlock, element
 
-EXTENT = 95.0  # percent of the rays that tell the size of an image that is not given
+EXTENT = 95.0  # percentile of the rays that estimates the size of an image that is not given
 
 
 class Misfit(NamedTuple):
-    """Rays that were tried, their root mean square per coordinate and largest residual, in the unit of the rays;
-    `share`: the root mean square judged, as a share of the image width; points behind cameras."""
+    """Misfit of some rays, in the unit of the rays. `rays`: their number; root mean square per coordinate and
+    largest residual; `share`: the criterion, as a share of the image width; `behind`: number of points behind
+    cameras."""
 
     rays: int
     rms: float
@@ -36,7 +37,7 @@ NONE = Misfit(0, np.nan, np.nan, np.nan, 0)
 
 
 class Misfits(NamedTuple):
-    """Misfits of the tie rays, and of the rays of control points against the control."""
+    """Misfits of the tie rays, and of the rays of control points."""
 
     tie: Misfit
     control: Misfit
@@ -45,9 +46,9 @@ class Misfits(NamedTuple):
 def ray_residuals(
     foreign: ForeignBlock, points: Float[np.ndarray, "point 3"] | None = None
 ) -> tuple[Float[np.ndarray, "ray 2"], Bool[np.ndarray, " ray"]]:
-    """Residuals of all rays in the unit of the rays, NaN where image or point is not known; and what lies behind.
+    """Residuals of all rays in the unit of the rays, NaN where image or point is unknown, and which points lie behind.
 
-    `points`: other coordinates of the points.
+    `points`: coordinates to use instead of those of the file.
     """
     rays, images = foreign.rays, foreign.images
     points = foreign.points.coordinates if points is None else points
@@ -66,7 +67,7 @@ def ray_residuals(
 
 
 def origin_of(foreign: ForeignBlock) -> Float[np.ndarray, "3"]:
-    """The mean of the projection centres that are known: large coordinates lose digits."""
+    """The mean of the known projection centres, to reduce coordinates: large coordinates lose digits."""
     known = foreign.images.centre[np.isfinite(foreign.images.centre).all(1)]
     return known.mean(0) if len(known) else np.zeros(3)
 
@@ -74,7 +75,7 @@ def origin_of(foreign: ForeignBlock) -> Float[np.ndarray, "3"]:
 def photo_vectors(
     foreign: ForeignBlock, rays: Int[np.ndarray, " ray"], points: Float[np.ndarray, "point 3"], origin: np.ndarray
 ) -> Vector:
-    """p = R^T (X - X0) of some rays."""
+    """Photo vectors p = R^T (X - X0) of some rays."""
     images, image, point = foreign.images, foreign.rays.image[rays], foreign.rays.point[rays]
     rotation = images.rotation[image].reshape(-1, 9).T
     return photo_vector(tuple(rotation), tuple((images.centre[image] - origin).T), tuple((points[point] - origin).T))
@@ -83,19 +84,19 @@ def photo_vectors(
 def interior_of(
     foreign: ForeignBlock, model: CameraModel, cameras: Int[np.ndarray, " ray"]
 ) -> Float[np.ndarray, "element ray"]:
-    """Interior elements of a model for the camera of each ray."""
+    """Interior elements of the camera of each ray, for one model."""
     table = np.array([[element(camera, name) for name in model.elements] for camera in foreign.cameras], float)
     return table[cameras].T
 
 
 def cameras_by_model(foreign: ForeignBlock) -> dict[CameraModel, Int[np.ndarray, " camera"]]:
-    """Numbers of the cameras of each model."""
+    """Numbers of the cameras with each model."""
     models = dict.fromkeys(camera.model for camera in foreign.cameras)
     return {m: np.array([k for k, camera in enumerate(foreign.cameras) if camera.model is m]) for m in models}
 
 
 def widths(foreign: ForeignBlock) -> Float[np.ndarray, " camera"]:
-    """Longer sides of the images of each camera, unit of its rays; of a format that is not given, that of the rays."""
+    """Longer side of the images of each camera, in the unit of its rays; estimated from the rays if not given."""
     found = np.ones(len(foreign.cameras))
     camera = foreign.images.camera[foreign.rays.image] if len(foreign.rays.image) else np.zeros(0, np.int64)
     for k, one in enumerate(foreign.cameras):
@@ -108,13 +109,13 @@ def widths(foreign: ForeignBlock) -> Float[np.ndarray, " camera"]:
 
 
 def is_control(foreign: ForeignBlock) -> Bool[np.ndarray, " point"]:
-    """Which points are control points or check points."""
+    """Mask of the points that are control points or check points."""
     names = {row.name for row in foreign.control}
     return np.array([name in names for name in foreign.points.names], bool)
 
 
 def misfits(foreign: ForeignBlock) -> Misfits:
-    """What the rays say of this reading of a file."""
+    """Misfits of the rays for this interpretation of a file."""
     control = is_control(foreign)
     known = np.full(foreign.points.coordinates.shape, np.nan)
     position = {name: k for k, name in enumerate(foreign.points.names)}

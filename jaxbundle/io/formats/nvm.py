@@ -1,4 +1,4 @@
-"""NVM files of VisualSFM and of programs that write them, such as COLMAP.
+"""Reading and writing NVM files of VisualSFM and of other programs, such as COLMAP.
 
     NVM_V3 [FixedK fx cx fy cy r]
     n, then n times    name f qw qx qy qz Cx Cy Cz d 0
@@ -6,8 +6,8 @@
 
 Quaternions are image from object, C is the projection centre. There are two dialects: VisualSFM counts image
 coordinates from the image centre, and d corrects the measurement, (1 + d r^2 / f^2) m; COLMAP writes coordinates from
-the corner and d = -k of a distortion of the projection. Any negative coordinate tells the first; the rays decide on
-d. Source: Changchang Wu, VisualSFM, "NVM file format"; COLMAP, src/colmap/scene/reconstruction_io.cc.
+the corner and d = -k of a distortion of the projection. A negative coordinate indicates the first dialect; the rays
+decide on d. Source: Changchang Wu, VisualSFM, "NVM file format"; COLMAP, src/colmap/scene/reconstruction_io.cc.
 """
 
 import dataclasses
@@ -37,13 +37,13 @@ from jaxbundle.io.formats.foreign_block import (
 from jaxbundle.io.formats.source import lines_of, numbers, wrong
 from jaxbundle.io.formats.written import in_pixels, is_free, losses_of_block
 from jaxbundle.io.noted import Noted
-from jaxbundle.io.text import UnreadableError, file_bytes
+from jaxbundle.io.text_files import UnreadableError, file_bytes
 
 HEAD = "NVM_V3"
 
 
 def is_nvm(path: Path) -> bool:
-    """Whether a file begins as one of VisualSFM."""
+    """Whether a file begins like one of VisualSFM."""
     try:
         return not path.is_dir() and file_bytes(path, len(HEAD)) == HEAD.encode()
     except UnreadableError:
@@ -51,9 +51,9 @@ def is_nvm(path: Path) -> bool:
 
 
 def read_nvm(path: Path, options: ReadOptions = DEFAULT) -> ForeignBlock:
-    """The first model of an NVM file.
+    """Reads the first model of an NVM file.
 
-    Raises: BlockError with all that is wrong.
+    Raises: BlockError with all problems.
     """
     noted, lines = Noted(), [(k, line.strip()) for k, line in enumerate(lines_of(path), 1)]
     rows = [(k, line) for k, line in lines[1:] if line and not line.startswith("#")]
@@ -129,16 +129,16 @@ def _point(
         return [np.nan] * 3, None
     rays = np.array(values[7:]).reshape(-1, 4)
     if not ((rays[:, 0] >= 0) & (rays[:, 0] < images) & (rays[:, 0] % 1 == 0)).all():
-        noted.add(path.name, line, f"a ray names an image that is not there: there are {images}, from 0 on", CUT)
+        noted.add(path.name, line, f"a ray refers to a missing image: there are {images}, numbered from 0", CUT)
         return [np.nan] * 3, None
     return values[:3], rays
 
 
 def _size(path: Path, rays: Float[np.ndarray, "ray 4"], centred: bool, options: ReadOptions) -> tuple[int, int]:
-    """Width and height of the images, which the file does not tell."""
+    """Width and height of the images, which are not in the file."""
     if options.image_size:
         return options.image_size
-    if centred:  # the origin is then arbitrary: what the rays fill serves as well
+    if centred:  # the origin is then arbitrary: the extent of the rays is sufficient
         extent = 2 * np.ceil(np.abs(rays[:, 2:]).max(0))
         return int(extent[0]), int(extent[1])
     what = f"{path.name} has image coordinates from the corner, and NVM files do not have the size of the images"
@@ -148,7 +148,7 @@ def _size(path: Path, rays: Float[np.ndarray, "ray 4"], centred: bool, options: 
 def _corrected(
     names: list[str], table: Float[np.ndarray, "image 9"], d: Float[np.ndarray, " image"], size: tuple[int, int]
 ) -> tuple[ForeignCamera, ...]:
-    """Cameras whose d corrects the measurement: K1 = d / f^2 of `brown`."""
+    """Cameras in which d corrects the measurement: K1 = d / f^2 of `brown`."""
     return tuple(
         ForeignCamera(
             f"camera of {name}",
@@ -165,7 +165,7 @@ def _corrected(
 def _distorted(
     names: list[str], table: Float[np.ndarray, "image 9"], d: Float[np.ndarray, " image"], size: tuple[int, int]
 ) -> tuple[ForeignCamera, ...]:
-    """Cameras whose -d distorts the projection: K1 = -d of c = 1."""
+    """Cameras in which -d distorts the projection: K1 = -d for c = 1."""
     return tuple(
         ForeignCamera(
             f"camera of {name}",
@@ -180,9 +180,9 @@ def _distorted(
 
 
 def write_nvm(block: Block, path: Path) -> list[str]:
-    """Writes an NVM file as VisualSFM has it, free of distortion, image coordinates from the principal point.
+    """Writes an NVM file of VisualSFM without distortion, with image coordinates from the principal point.
 
-    Returns: what has no place there.
+    Returns: sentences about what the format cannot represent.
     """
     written = in_pixels(block, is_free)
     foreign = written.foreign
@@ -204,7 +204,7 @@ def write_nvm(block: Block, path: Path) -> list[str]:
         lines.append(f"{_row(place)} 128 128 128 {len(some)} {told}")
     path.parent.mkdir(parents=True, exist_ok=True)
     path.write_text("\n".join([*lines, "", "0", ""]), encoding="utf-8")
-    losses = ["the principal points: image coordinates are written from them", "names of points"]
+    losses = ["the principal points: written image coordinates are relative to them", "names of points"]
     return [*written.losses, *losses, *losses_of_block(block, frozenset())]
 
 

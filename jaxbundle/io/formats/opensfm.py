@@ -1,8 +1,9 @@
-"""OpenSfM and OpenDroneMap: reconstruction.json and tracks.csv.
+"""Reading OpenSfM and OpenDroneMap: reconstruction.json and tracks.csv.
 
     f = focal max(W, H),  x0 = c_x max(W, H) + W/2,  y0 = c_y max(W, H) + H/2        tracks: the same unit and origin
 
-Rotation vectors and translations are image from object. Of several reconstructions the one with most images is read.
+Rotation vectors and translations are image from object. From several reconstructions the one with the maximum number of
+images is read.
 Source: OpenSfM's documentation, "Dataset structure" and "Camera models".
 """
 
@@ -32,8 +33,8 @@ from jaxbundle.io.noted import Noted
 
 FILE, TRACKS = "reconstruction.json", "tracks.csv"
 VERSION = "OPENSFM_TRACKS_VERSION_"
-COLUMNS = (8, 9, 10, 11, 12)  # of tracks.csv, by its version
-TANGENTIAL = {"p1": "P2", "p2": "P1"}  # the school of OpenCV
+COLUMNS = (8, 9, 10, 11, 12)  # columns of tracks.csv of each version
+TANGENTIAL = {"p1": "P2", "p2": "P1"}  # coefficients of OpenCV
 RADIAL = {"k1": "K1", "k2": "K2", "k3": "K3"}
 
 
@@ -97,14 +98,14 @@ _TYPES = {
 
 
 def is_opensfm(path: Path) -> bool:
-    """Whether a folder holds a reconstruction of OpenSfM, or a folder opensfm with one, as OpenDroneMap makes."""
+    """Whether a folder contains a reconstruction of OpenSfM, or a folder opensfm with one, as OpenDroneMap writes."""
     return path.is_dir() and any((folder / FILE).is_file() for folder in (path, path / "opensfm"))
 
 
 def read_opensfm(path: Path, options: ReadOptions = DEFAULT) -> ForeignBlock:
-    """The largest reconstruction of a folder and the tracks beside it.
+    """Reads the largest reconstruction of a folder and its tracks.
 
-    Raises: BlockError with all that is wrong.
+    Raises: BlockError with all problems.
     """
     folder = path if (path / FILE).is_file() else path / "opensfm"
     content = json_of(folder / FILE)
@@ -113,14 +114,14 @@ def read_opensfm(path: Path, options: ReadOptions = DEFAULT) -> ForeignBlock:
         raise wrong(folder / FILE, 0, "there is no reconstruction", "run the reconstruction again")
     if not (folder / TRACKS).is_file():
         raise BlockError(
-            [Problem(f"{TRACKS} is missing beside {FILE}", "add the tracks: without them no ray is known")]
+            [Problem(f"{TRACKS} is missing in the folder of {FILE}", "add the tracks: they contain the rays")]
         )
     chosen = max(reconstructions, key=lambda one: len(one.shots))
     cameras = _cameras(folder / FILE, _of_size(chosen, options.image_size))
     findings = []
     if len(reconstructions) > 1:
         others = sum(len(one.shots) for one in reconstructions) - len(chosen.shots)
-        what = f"{FILE} has {len(reconstructions)} reconstructions; the largest was read, {others} images are in others"
+        what = f"{FILE} has {len(reconstructions)} reconstructions; the largest was read, {others} images are not"
         findings.append(Finding(Kind.UNUSED, what, grade=Severity.CHECK))
     names = tuple(chosen.shots)
     vectors = np.array([shot.rotation for shot in chosen.shots.values()]).reshape(-1, 3)
@@ -154,7 +155,7 @@ def read_opensfm(path: Path, options: ReadOptions = DEFAULT) -> ForeignBlock:
 
 
 def _of_size(chosen: _Reconstruction, size: tuple[int, int] | None) -> _Reconstruction:
-    """The reconstruction with the true size of its images: OpenDroneMap keeps that of reduced ones."""
+    """The reconstruction with the true size of its images: OpenDroneMap writes the size of reduced ones."""
     if size is None:
         return chosen
     scaled = {"width": size[0], "height": size[1]}
@@ -189,7 +190,7 @@ def _cameras(path: Path, chosen: _Reconstruction) -> dict[str, ForeignCamera]:
     for name, shot in chosen.shots.items():
         if shot.camera not in chosen.cameras:
             noted.add(
-                path.name, 0, f"image {shown(name)} has the camera {shown(shot.camera)}, which is not there", "add it"
+                path.name, 0, f"image {shown(name)} has the camera {shown(shot.camera)}, which is missing", "add it"
             )
     if noted:
         raise noted.error()
@@ -199,7 +200,7 @@ def _cameras(path: Path, chosen: _Reconstruction) -> dict[str, ForeignCamera]:
 def _rays(
     path: Path, images: tuple[str, ...], points: tuple[str, ...], sizes: Float[np.ndarray, "image 2"]
 ) -> tuple[RayTable, tuple[Finding, ...]]:
-    """Rays of images and points that are there; others are counted."""
+    """Rays of existing images and points; the others are counted."""
     text = text_of(path)
     head, _, rest = text.partition("\n")
     text = rest if head.startswith(VERSION) else text
@@ -230,7 +231,7 @@ def _rays(
 
 
 def _positions(names: pl.Series, given: tuple[str, ...]) -> np.ndarray:
-    """Numbers of names, -1 for one that is not given."""
+    """Indices of names among the given ones, -1 for a missing name."""
     known = pl.DataFrame({"name": pl.Series(given, dtype=pl.String), "at": np.arange(len(given))})
     joined = names.alias("name").to_frame().join(known, on="name", how="left", maintain_order="left")
     return joined["at"].fill_null(-1).to_numpy().astype(np.int64)

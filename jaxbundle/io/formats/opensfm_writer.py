@@ -1,4 +1,4 @@
-"""A block written as a reconstruction of OpenSfM: reconstruction.json and tracks.csv."""
+"""Writing a block as a reconstruction of OpenSfM: reconstruction.json and tracks.csv."""
 
 import json
 from pathlib import Path
@@ -12,7 +12,7 @@ from jaxbundle.io.formats.foreign_block import ForeignCamera, element
 from jaxbundle.io.formats.opensfm import FILE, RADIAL, TANGENTIAL, TRACKS, VERSION
 from jaxbundle.io.formats.written import in_pixels, losses_of_block
 
-SCALE, GREY = 0.001, (128, 128, 128)  # of features whose size and colour are not known
+SCALE, GREY = 0.001, (128, 128, 128)  # of features with unknown size and colour
 HOLDS: frozenset[str] = frozenset()
 
 
@@ -24,7 +24,7 @@ def holds(camera: ForeignCamera) -> bool:
 def write_opensfm(block: Block, path: Path) -> list[str]:
     """Writes reconstruction.json and tracks.csv of version 2.
 
-    Returns: what has no place there.
+    Returns: sentences about what the format cannot represent.
     """
     written = in_pixels(block, holds)
     foreign = written.foreign

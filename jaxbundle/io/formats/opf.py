@@ -1,8 +1,8 @@
-"""OPF projects of Pix4D: JSON files and the tracks as glTF. Its conventions are those of this package.
+"""Reading OPF projects of Pix4D: JSON files, and tracks as glTF. OPF has the same conventions as this package.
 
 Angles are omega, phi, kappa of object_from_image, image coordinates count from the corner; radial and tangential
-terms as OpenCV has them: P1 = t2, P2 = t1. The processing frame is canonical = swap(scale base) + shift; the block is
-read in the base system, by shift and scale. Tracks are turned to y up in glTF and turned back. Source: Pix4D, OPF
+terms are those of OpenCV: P1 = t2, P2 = t1. The processing frame is canonical = swap(scale base) + shift; the block is
+read in the base system, by shift and scale. Tracks have y up in glTF; they are rotated back. Source: Pix4D, OPF
 specification 1.0.
 """
 
@@ -30,12 +30,12 @@ from jaxbundle.io.formats.foreign_block import (
 from jaxbundle.io.formats.gltf import Tracks, read_tracks
 from jaxbundle.io.formats.source import json_of, validated, wrong
 from jaxbundle.io.noted import Noted
-from jaxbundle.io.text import UnreadableError, file_bytes
+from jaxbundle.io.text_files import UnreadableError, file_bytes
 
 PROJECT = "project.opf"
-HEAD = 4000  # bytes that hold the format of a project
+HEAD = 4000  # bytes that contain the format of a project
 PREFIX, SUFFIX = "application/opf-", "+json"
-MARK_SIGMA = 1.0  # px, of a mark without accuracy
+MARK_SIGMA = 1.0  # px, for a mark without accuracy
 
 
 class _Loose(BaseModel):
@@ -157,7 +157,7 @@ class _Frame(_Loose):
 
 
 def _file(path: Path) -> Path | None:
-    """The project file of a path that means an OPF project."""
+    """The project file of a path of an OPF project."""
     if path.is_dir():
         return path / PROJECT if (path / PROJECT).is_file() else None
     try:
@@ -172,9 +172,9 @@ def is_opf(path: Path) -> bool:
 
 
 def read_opf(path: Path, options: ReadOptions = DEFAULT) -> ForeignBlock:
-    """The calibrated cameras, tracks and control of a project.
+    """Reads the calibrated cameras, tracks and control of a project.
 
-    Raises: BlockError with all that is wrong.
+    Raises: BlockError with all problems.
     """
     file = _file(path) or path
     project = validated(file, _Project, json_of(file))
@@ -268,7 +268,7 @@ def _require_plain(file: Path, base: _Base) -> None:
 def _cameras(
     file: Path, calibrated: _Calibrated, inputs: _Inputs | None
 ) -> tuple[tuple[ForeignCamera, ...], dict[int, int]]:
-    """Cameras, and the number of each by the id of its sensor."""
+    """Cameras, and the index of each by the id of its sensor."""
     noted, cameras, position = Noted(), [], {}
     given = {one.id: one for one in inputs.sensors} if inputs else {}
     for sensor in calibrated.sensors:

@@ -1,6 +1,6 @@
-"""A block written as an OPF project: JSON files, and tracks as glTF with binary buffers.
+"""Writing a block as an OPF project: JSON files, and tracks as glTF with binary buffers.
 
-The processing frame is reduced by a shift, as positions of tracks are single precision.
+The processing frame is reduced by a shift, because positions of tracks are in single precision.
 """
 
 import json
@@ -19,7 +19,7 @@ from jaxbundle.io.formats.gltf import EXTENSION, OFFSET_BITS
 from jaxbundle.io.formats.opf import PREFIX, PROJECT, SUFFIX
 from jaxbundle.io.formats.written import in_pixels, losses_of_block
 
-LOCAL = (  # a system that the block does not name
+LOCAL = (  # for a block without a named system
     'ENGINEERINGCRS["local",EDATUM["local"],CS[Cartesian,3],AXIS["(X)",east,ORDER[1]],AXIS["(Y)",north,ORDER[2]],'
     'AXIS["(Z)",up,ORDER[3]],LENGTHUNIT["metre",1.0]]'
 )
@@ -34,7 +34,7 @@ def _holds(camera: ForeignCamera) -> bool:
 def write_opf(block: Block, path: Path) -> list[str]:
     """Writes a project into a folder; control points have their marks, all others are tracks.
 
-    Returns: what has no place there.
+    Returns: sentences about what the format cannot represent.
     """
     written = in_pixels(block, _holds)
     foreign = written.foreign
@@ -70,7 +70,7 @@ def write_opf(block: Block, path: Path) -> list[str]:
         "items": items,
     }
     (path / PROJECT).write_text(json.dumps(project, indent=1), encoding="utf-8")
-    losses = ["names of tie points; their coordinates are single precision"]
+    losses = ["names of tie points; their coordinates are in single precision"]
     return [*written.losses, *losses, *losses_of_block(block, frozenset({"control", "distances"}))]
 
 
@@ -157,7 +157,7 @@ def _control(foreign: ForeignBlock, system: str) -> dict[str, Any]:
 
 
 def _complete(foreign: ForeignBlock):
-    """Control points of which all three coordinates are known."""
+    """Control points with three known coordinates."""
     return [row for row in foreign.control if np.isfinite([*row.coordinates, *row.sigmas]).all()]
 
 
@@ -170,7 +170,7 @@ def _constraints(foreign: ForeignBlock) -> dict[str, Any]:
 
 
 def _tracks(foreign: ForeignBlock, path: Path, shift: Float[np.ndarray, "3"]) -> list[str]:
-    """tracks.gltf and its buffers; the names of these."""
+    """Writes tracks.gltf and its buffers, and returns their names."""
     control = {row.name for row in _complete(foreign)}
     tie = np.array([name not in control for name in foreign.points.names], bool)
     number = np.cumsum(tie) - 1

@@ -1,12 +1,12 @@
-"""PATB: image coordinates .im, control .con and orientations .ori of one name.
+"""Reading and writing PATB: image coordinates .im, control .con and orientations .ori with the same name.
 
     .im     photo c, then point x y [group] about the principal point, y up, in micrometres; -99 after each photo
     .con    point X Y [group] ..., -99, then point Z [group] ..., -99
     .ori    three records for each photo: (I16, 16X, 3F16.5) photo X Y Z;  (5F16.12) a11 a12 a13 a21 a22;
             (4F16.12) a23 a31 a32 a33
 
-Columns of .ori are fixed and may touch. Whether the matrix is object_from_image or its inverse, and the unit of the
-image coordinates, the rays decide. Source: PCI Geomatica, OrthoEngine, "PAT-B exterior orientation".
+Columns of .ori have fixed width and may touch. The rays decide whether the matrix is object_from_image or its inverse,
+and the unit of the image coordinates. Source: PCI Geomatica, OrthoEngine, "PAT-B exterior orientation".
 """
 
 import dataclasses
@@ -33,13 +33,13 @@ from jaxbundle.io.formats.source import AGAIN, lines_of, numbers
 from jaxbundle.io.formats.written import losses_of_block
 from jaxbundle.io.noted import Noted
 
-WIDTH = 16  # characters of a number of .ori
+WIDTH = 16  # characters of a number in .ori
 MICROMETRES = 1e-3  # mm
-LONGEST = 2000.0  # mm: a principal distance that is larger is in micrometres
+LONGEST = 2000.0  # mm: a larger principal distance is in micrometres
 
 
 def _files(path: Path) -> list[Path]:
-    """The files .im, .ori and .con of a path that means a PATB project; empty where it is none."""
+    """The files .im, .ori and .con of a PATB project; empty for any other path."""
     if path.is_dir():
         found = sorted(path.glob("*.im"))
         return _files(found[0]) if len(found) == 1 else []
@@ -53,9 +53,9 @@ def is_patb(path: Path) -> bool:
 
 
 def read_patb(path: Path, options: ReadOptions = DEFAULT) -> ForeignBlock:
-    """The block of .im, .ori and, where it is there, .con.
+    """Reads the block of .im, .ori and, if it exists, .con.
 
-    Raises: BlockError with all that is wrong.
+    Raises: BlockError with all problems.
     """
     files = _files(path)
     if not files:
@@ -94,7 +94,7 @@ def read_patb(path: Path, options: ReadOptions = DEFAULT) -> ForeignBlock:
 
 
 def _image_points(path: Path, found: Collected, noted: Noted) -> dict[str, float]:
-    """Rays, and the principal distance of each photo."""
+    """Reads rays, and the principal distance of each photo."""
     photo, cameras = "", {}
     for line, text in enumerate(lines_of(path), 1):
         fields = text.split()
@@ -119,7 +119,7 @@ def _image_points(path: Path, found: Collected, noted: Noted) -> dict[str, float
 
 
 def _columns(text: str) -> list[str]:
-    """Fields of fixed width; of a file that is not so, those between blanks."""
+    """Fields of fixed width, or fields between blanks in files without fixed width."""
     fixed = [text[k : k + WIDTH].strip() for k in range(0, len(text.rstrip()), WIDTH)]
     return [field for field in fixed if field] if all(" " not in field for field in fixed) else text.split()
 
@@ -142,7 +142,7 @@ def _orientations(path: Path, found: Collected, noted: Noted) -> None:
 
 
 def _control(path: Path, found: Collected, noted: Noted) -> None:
-    """Plan, then height; a point may have one of them only."""
+    """Reads plan, then height; a point may have only one of them."""
     plan: dict[str, list[float]] = {}
     heights: dict[str, float] = {}
     part = 0
@@ -172,7 +172,7 @@ def _control(path: Path, found: Collected, noted: Noted) -> None:
 def write_patb(block: Block, path: Path) -> list[str]:
     """Writes NAME.im, NAME.con and NAME.ori into a folder.
 
-    Returns: what has no place there.
+    Returns: sentences about what the format cannot represent.
     """
     foreign, losses = in_mm(block)
     path.mkdir(parents=True, exist_ok=True)
@@ -203,7 +203,7 @@ def write_patb(block: Block, path: Path) -> list[str]:
     rows.append(END)
     rows += [f"{position[r.name]} {r.coordinates[2]:.6f} 1" for r in control if _has(r, 2)]
     (path / f"{path.name}.con").write_text("\n".join([*rows, END]) + "\n", encoding="utf-8")
-    losses.append("principal points: image coordinates are written from them")
+    losses.append("principal points: written image coordinates are relative to them")
     losses.append("object points and standard deviations; centres are rounded to 0.01 mm")
     return [*losses, *losses_of_block(block, frozenset({"control"}))]
 

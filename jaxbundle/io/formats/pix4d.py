@@ -1,12 +1,12 @@
-"""The params folder of Pix4Dmapper, with its image measurements in one of three forms.
+"""Reading the params folder of Pix4Dmapper, with image measurements in one of three forms.
 
     *_calibrated_external_camera_parameters.txt    header; image X Y Z omega phi kappa, deg, project system
     *_calibrated_camera_parameters.txt             8 lines, then 10 for each image: name W H; K; R1 R2 R3; T1 T2; t; R
-    *_offset.xyz                                   what was subtracted from the coordinates of the second file
+    *_offset.xyz                                   the shift subtracted from the coordinates of the second file
     *_tp_pix4d.txt                                 image, then point x y [scale] px, -99 after each image
     *_bingo.txt, *_orima.txt                       the same points in mm from the image centre, y up; often thinned
 
-R = R_x R_y R_z of the angles; K in px from the corner; R1 R2 R3, T1 T2 as OpenCV has them: P1 = T2, P2 = T1.
+R = R_x R_y R_z of the angles; K in px from the corner; R1 R2 R3, T1 T2 of OpenCV: P1 = T2, P2 = T1.
 Source: Pix4D, support articles 202558969 and 203590305.
 """
 
@@ -27,7 +27,7 @@ from jaxbundle.io.formats.source import AGAIN, lines_of, numbers
 from jaxbundle.io.noted import Noted
 
 EXTERNAL, CAMERAS = "*_calibrated_external_camera_parameters.txt", "*_calibrated_camera_parameters.txt"
-HEADER, RECORD = 8, 10  # lines of the file of cameras
+HEADER, RECORD = 8, 10  # lines per image in the file of cameras
 
 
 class Calibration(NamedTuple):
@@ -41,7 +41,7 @@ class Calibration(NamedTuple):
 
     @property
     def elements(self) -> dict[str, float]:
-        """Elements of `metashape`."""
+        """Interior elements of the model `metashape`."""
         k = self.matrix
         terms = dict(zip(("K1", "K2", "K3"), self.radial, strict=True))
         terms |= dict(zip(("P2", "P1"), self.tangential, strict=True))
@@ -49,14 +49,14 @@ class Calibration(NamedTuple):
 
 
 def is_pix4d(path: Path) -> bool:
-    """Whether a folder holds the exterior orientations of Pix4Dmapper."""
+    """Whether a folder contains the exterior orientations of Pix4Dmapper."""
     return path.is_dir() and next(path.glob(EXTERNAL), None) is not None
 
 
 def read_pix4d(path: Path, options: ReadOptions = DEFAULT) -> ForeignBlock:
-    """The block of a params folder.
+    """Reads the block of a params folder.
 
-    Raises: BlockError with all that is wrong, or without image measurements.
+    Raises: BlockError with all problems, or without image measurements.
     """
     noted, found = Noted(), Collected()
     external = next(iter(sorted(path.glob(EXTERNAL))))
@@ -125,7 +125,7 @@ def _external(path: Path, found: Collected, noted: Noted) -> None:
 
 
 def _calibrations(path: Path, noted: Noted) -> dict[str, Calibration]:
-    """Calibrated cameras by image."""
+    """Reads the calibrated camera of each image."""
     files = [file for file in sorted(path.glob(CAMERAS)) if "external" not in file.name]
     if not files:
         return {}
@@ -151,7 +151,7 @@ def _calibrations(path: Path, noted: Noted) -> dict[str, Calibration]:
 def _measurements(
     path: Path, into: tuple[Collected, Noted], cameras: dict[str, Calibration | None], options: ReadOptions
 ) -> None:
-    """Rays of the fullest of the three files that is there."""
+    """Reads the rays of the most complete of the three files."""
     found, noted = into
     stems = {Path(name).stem: name for name in cameras}
     pixels = next(iter(sorted(path.glob("*_tp_pix4d.txt"))), None)
@@ -181,7 +181,7 @@ def _named(own: Collected) -> list[tuple[str, str, float, float]]:
 
 
 def _heads(path: Path) -> dict[str, tuple[float, float]]:
-    """Width and height of the images in mm, from H_h_w or H_w_h behind their names."""
+    """Width and height of the images in mm, from H_h_w or H_w_h after their names."""
     sizes = {}
     for text in lines_of(path):
         fields = text.split()
@@ -196,7 +196,7 @@ def _heads(path: Path) -> dict[str, tuple[float, float]]:
 
 
 def _in_pixels(found: Collected, own: Collected, known: tuple) -> None:
-    """Rays in mm as px, by the sizes of the images in mm and in px."""
+    """Converts rays from mm to px, by the sizes of the images in mm and in px."""
     stems, cameras, sizes, pixel = known
     for image, point, x, y in _named(own):
         name = stems.get(Path(image).stem, image)

@@ -1,9 +1,9 @@
-"""Rotations of many images between the forms of files and matrices, by the functions of geometry/rotation.py.
+"""Converting the rotations of many images between formats and matrices, with the functions of geometry/rotation.py.
 
     D = diag(1, -1, -1)        R_jb = R^T D,  X0 = -R^T t        back: R = D R_jb^T,  t = -R X0
 
-where (R, t) lead from the object system into a camera of computer vision (x right, y down, z forward). Sizes are
-padded, so that blocks of all sizes share few compiled programs.
+(R, t) transform from the object system to a camera of computer vision (x right, y down, z forward). Arrays are
+padded, so that blocks of all sizes use few compiled programs.
 """
 
 from collections.abc import Callable
@@ -30,7 +30,7 @@ from jaxbundle.numerics.shapes import grid_size
 
 DOWN_FORWARD = np.diag([1.0, -1.0, -1.0])  # D
 Matrices = Float[np.ndarray, "image 3 3"]
-ROUNDING = 1e-3  # of R R^T: matrices printed with four digits; beyond, they are none of rotations
+ROUNDING = 1e-3  # tolerance of R R^T: matrices printed with four digits; larger deviations are not rotations
 
 
 def phi_omega_kappa(phi: Array, omega: Array, kappa: Array) -> Rotation:
@@ -53,13 +53,13 @@ def _padded(rows: np.ndarray) -> np.ndarray:
 
 
 def matrices(function: Callable[..., Rotation], rows: Float[np.ndarray, "image number"]) -> Matrices:
-    """Matrices of angles (radians), rotation vectors or quaternions, by a function of scalars."""
+    """Matrices of angles (radians), rotation vectors or quaternions, computed by a function of scalars."""
     rows = np.asarray(rows, float)
     return np.asarray(_program(function, rows.shape[1])(_padded(rows)))[: len(rows)].reshape(-1, 3, 3)
 
 
 def numbers(function: Callable[[Rotation], tuple], rotations: Matrices) -> Float[np.ndarray, "image number"]:
-    """Angles, rotation vectors or quaternions of matrices, by a function of nine scalars."""
+    """Angles, rotation vectors or quaternions of matrices, computed by a function of nine scalars."""
     rows = np.asarray(rotations, float).reshape(-1, 9)
     return np.asarray(_inverse_program(function)(_padded(rows)))[: len(rows)]
 
@@ -81,7 +81,7 @@ def from_vectors(rows: Float[np.ndarray, "image 3"]) -> Matrices:
 
 
 def to_vectors(rotations: Matrices) -> Float[np.ndarray, "image 3"]:
-    """Rotation vectors."""
+    """Rotation vectors of matrices (Rodrigues)."""
     return numbers(to_rotation_vector, rotations)
 
 
@@ -91,14 +91,14 @@ def from_angles(rows: Float[np.ndarray, "image 3"]) -> Matrices:
 
 
 def to_angles(rotations: Matrices) -> Float[np.ndarray, "image 3"]:
-    """omega, phi, kappa in radians."""
+    """Angles omega, phi, kappa of matrices, in radians."""
     return numbers(OMEGA_PHI_KAPPA.angles_from_rotation, rotations)
 
 
 def from_camera(
     rotation: Matrices, translation: Float[np.ndarray, "image 3"]
 ) -> tuple[Matrices, Float[np.ndarray, "image 3"]]:
-    """(R_jb, X0) from R, t of computer vision."""
+    """Converts R, t of computer vision to (R_jb, X0)."""
     back = np.swapaxes(rotation, 1, 2)
     return back @ DOWN_FORWARD, -(back @ translation[:, :, None])[:, :, 0]
 
@@ -106,13 +106,13 @@ def from_camera(
 def to_camera(
     rotation: Matrices, centre: Float[np.ndarray, "image 3"]
 ) -> tuple[Matrices, Float[np.ndarray, "image 3"]]:
-    """(R, t) of computer vision from R_jb, X0."""
+    """Converts R_jb, X0 to (R, t) of computer vision."""
     turned = DOWN_FORWARD @ np.swapaxes(rotation, 1, 2)
     return turned, -(turned @ centre[:, :, None])[:, :, 0]
 
 
 def is_rotation(rotation: Matrices) -> np.ndarray:
-    """Which matrices are rotations, to the rounding of printed digits."""
+    """Mask of the matrices that are rotations, within the rounding of printed digits."""
     with np.errstate(all="ignore"):
         off = np.abs(rotation @ np.swapaxes(rotation, 1, 2) - np.eye(3)).max((1, 2))
         return (off < ROUNDING) & (np.linalg.det(np.nan_to_num(rotation)) > 0)

@@ -1,4 +1,4 @@
-"""Files as the readers of foreign formats take them: text, JSON and XML, whose faults are told with file and line."""
+"""Reading text, JSON and XML files of foreign formats; each problem is reported with file and line."""
 
 import json
 import math
@@ -14,28 +14,30 @@ from pydantic import BaseModel, ValidationError
 from jaxbundle.block.problems import BlockError, Problem, shown
 from jaxbundle.io.noted import Noted
 from jaxbundle.io.ranges import LARGEST_LENGTH
-from jaxbundle.io.text import require_bytes
+from jaxbundle.io.text_files import require_bytes
 
 AGAIN = "correct it, or export it again"
-SHOWN_ERRORS = 20  # of one JSON file
-LARGEST_NUMBER = 1e30  # of any field: its square and its weight stay in the range of double precision
+SHOWN_ERRORS = 20  # maximum number of problems of one JSON file
+LARGEST_NUMBER = 1e30  # of any number: its square and its weight stay in the range of float64
 
 
 def wrong(path: Path, line: int, what: str, cure: str = AGAIN) -> BlockError:
-    """The error of one place that ends reading."""
+    """An error at one line that ends reading."""
     noted = Noted()
     noted.add(path.name, line, what, cure)
     return noted.error()
 
 
 def text_of(path: Path) -> str:
-    """The text of a file, lines ending with LF: UTF-8, else Latin-1, as older programs write."""
+    """The text of a file with LF at the end of each line: UTF-8, else Latin-1 of older programs."""
     data = require_bytes(path)
     if data[:2] in (b"\xff\xfe", b"\xfe\xff"):
         try:
             text = data.decode("utf-16")
         except UnicodeDecodeError as error:
-            raise wrong(path, 0, "the file is not UTF-16, as its first bytes say", "save it in UTF-8") from error
+            raise wrong(
+                path, 0, "the file is not UTF-16, although its first bytes indicate that", "save it in UTF-8"
+            ) from error
     else:
         try:
             text = data.decode("utf-8-sig")
@@ -50,7 +52,7 @@ def lines_of(path: Path) -> list[str]:
 
 
 def numbers(path: Path, line: int, fields: Sequence[str], noted: Noted, what: str = "") -> list[float] | None:
-    """Fields of a line as finite numbers; None and a note where one is none."""
+    """Fields of a line as finite numbers; None and a note where one is not a number."""
     values = []
     for field in fields:
         try:
@@ -66,7 +68,7 @@ def numbers(path: Path, line: int, fields: Sequence[str], noted: Noted, what: st
 
 
 def integer(path: Path, line: int, field: str, noted: Noted, what: str) -> int | None:
-    """A field as a whole number that is not negative; None and a note where it is none."""
+    """A field as a whole number that is not negative; otherwise None and a note."""
     if field.isascii() and field.isdigit() and len(field) < 19:
         return int(field)
     noted.add(path.name, line, f"{what} '{shown(field)}' is not a whole number", AGAIN)
@@ -76,7 +78,7 @@ def integer(path: Path, line: int, field: str, noted: Noted, what: str) -> int |
 def json_of(path: Path) -> Any:
     """The content of a JSON file.
 
-    Raises: BlockError where it is none, with its line.
+    Raises: BlockError where it is not JSON, with its line.
     """
     try:
         return json.loads(text_of(path))
@@ -89,7 +91,7 @@ def json_of(path: Path) -> Any:
 def validated(path: Path, model: type[BaseModel], content: Any) -> Any:
     """JSON content as a typed model.
 
-    Raises: BlockError with all that does not fit, each by its place in the file.
+    Raises: BlockError with all values that do not fit, each with its path in the file.
     """
     try:
         return model.model_validate(content)
@@ -102,10 +104,10 @@ def validated(path: Path, model: type[BaseModel], content: Any) -> Any:
 
 
 def elements(path: Path, *tags: str) -> Iterator[tuple[str, ElementTree.Element]]:
-    """The elements of an XML file that bear one of these tags, each when it is complete, then forgotten: a file of any
-    size needs the memory of one of them. `root` as tag: the root, when it begins.
+    """Iterates over the elements of an XML file with one of these tags. Each element is yielded when it is complete and
+    then deleted: a file of any size needs the memory of one element. `root` as tag: the root, when it begins.
 
-    Raises: BlockError where the file is no XML, or has a document type, which is not read for safety.
+    Raises: BlockError where the file is not XML, or has a document type, which is not read for safety.
     """
     if not path.is_file():
         raise BlockError([Problem(f"{shown(str(path))} is not a regular file", "give an XML file")])
@@ -141,7 +143,7 @@ def elements(path: Path, *tags: str) -> Iterator[tuple[str, ElementTree.Element]
 def tree_of(path: Path, data: bytes | None = None) -> ElementTree.Element:
     """The root of a small XML file, or of one within an archive.
 
-    Raises: BlockError where it is no XML, or has a document type.
+    Raises: BlockError where it is not XML, or has a document type.
     """
     data = require_bytes(path) if data is None else data
     if b"<!DOCTYPE" in data:
@@ -166,7 +168,7 @@ def child_text(element: ElementTree.Element | None, path: str) -> str:
 
 
 class XmlNumbers:
-    """Numbers of an XML file; what is none is noted with the element it belongs to."""
+    """Reads numbers of an XML file; text that is not a number is noted with its element."""
 
     def __init__(self, path: Path, noted: Noted):
         self.path, self.noted = path, noted
@@ -187,7 +189,7 @@ class XmlNumbers:
         return self.of_text((element.get(name) or "").strip(), f"{what}, {name}", absent)
 
     def array(self, text: str, count: int, what: str) -> Float[np.ndarray, " number"] | None:
-        """As many numbers as are expected; None and a note where there are others."""
+        """An array with the expected number of values; None and a note where the number differs."""
         fields = text.split()
         if len(fields) != count:
             self.noted.add(self.path.name, 0, f"{what} has {len(fields)} numbers, not {count}", AGAIN)
@@ -197,7 +199,7 @@ class XmlNumbers:
 
 
 def require_lengths(path: Path, what: str, values: Float[np.ndarray, "..."]) -> None:
-    """Raises BlockError where a coordinate is not finite or too large to be one; NaN is not known."""
+    """Raises BlockError where a coordinate is infinite or too large; NaN means unknown."""
     bad = ~(np.isnan(values) | (np.abs(np.nan_to_num(values, posinf=np.inf)) <= LARGEST_LENGTH))
     if bad.any():
         raise wrong(path, 0, f"{int(bad.sum())} of the {what} are infinite or larger than {LARGEST_LENGTH:g}")

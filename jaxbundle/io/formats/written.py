@@ -1,12 +1,12 @@
-"""A block as writers of foreign formats take it: cameras in px with v down, names, and what has no place there.
+"""Preparing a block for writers of foreign formats: cameras in px with v down, names, and contents that are lost.
 
-A camera that a format can hold is written exactly. For any other the corrected measurement is written with a camera
-free of distortion, u' = computed without distortion - v, so that every residual of the block as it stands is the same:
+A camera that a format can represent is written exactly. For any other the corrected measurement is written with a
+camera without distortion, u' = computed without distortion - v, so that all residuals of the block are unchanged:
 
     none             f = c / s
     brown-forward    f = c / s, K1 c^2, K2 c^4, K3 c^6, P1 c, -P2 c      coefficients of c = 1, v down
-    bal              f, k1, k2, y turned down, principal point in the middle of the image
-    all others       corrected measurements, unless the format knows the model itself
+    bal              f, k1, k2, y down, principal point in the middle of the image
+    all others       corrected measurements, unless the format has the same model
 """
 
 import dataclasses
@@ -17,7 +17,7 @@ import numpy as np
 from jaxtyping import Float
 
 from jaxbundle.block.block import Block
-from jaxbundle.block.observations import CONTROL, STATIONS
+from jaxbundle.block.observation_kinds import CONTROL, STATIONS
 from jaxbundle.block.wording import counted
 from jaxbundle.camera.brown import BROWN_AFFINE_LAST, DISTORTION_FREE
 from jaxbundle.camera.forward import BAL, BROWN_FORWARD, METASHAPE
@@ -37,21 +37,21 @@ from jaxbundle.io.formats.foreign_block import (
 from jaxbundle.io.formats.misfit import ray_residuals
 from jaxbundle.numerics.host import on_host
 
-NOMINAL_PIXEL = 0.005  # mm, of a camera in mm whose pixels are not known: any size gives the same block
-MARGIN = 1.02  # of the extent of the rays: the format where none is known
+NOMINAL_PIXEL = 0.005  # mm, for a camera in mm with unknown pixel size: any size gives the same block
+MARGIN = 1.02  # factor of the extent of the rays: the format where it is unknown
 LENSES = (METASHAPE, RATIONAL, FISHEYE, FISHEYE_624, FOV, DIVISION, EUCM)  # in px, v down, elements of c = 1
 BACKWARD = tuple(name for name in BROWN_AFFINE_LAST.elements if name[0] in "KPb")
 
 
 class Written(NamedTuple):
-    """A block in px, and sentences about what its format changes or cannot hold."""
+    """A block in px, and sentences about what the format changes or cannot represent."""
 
     foreign: ForeignBlock
     losses: tuple[str, ...]
 
 
 def foreign_block(block: Block) -> ForeignBlock:
-    """The block with its own cameras; control with its sigmas, 0 where it is held."""
+    """The block with its own cameras; control with its sigmas, 0 for fixed coordinates."""
     s, values = block.structure, on_host(block.interior.elements)
     cameras = tuple(
         ForeignCamera(
@@ -122,7 +122,7 @@ def _distances(block: Block) -> tuple[Distance, ...]:
 
 
 def in_pixels(block: Block, holds: Callable[[ForeignCamera], bool]) -> Written:
-    """The block with cameras in px that a format holds; `holds`: whether it does so for a camera of `LENSES`."""
+    """The block with cameras in px that a format can represent; `holds`: whether it can do so for one of `LENSES`."""
     foreign = foreign_block(block)
     v, _ = ray_residuals(foreign)
     camera_of_ray = foreign.images.camera[foreign.rays.image]
@@ -135,8 +135,8 @@ def in_pixels(block: Block, holds: Callable[[ForeignCamera], bool]) -> Written:
             continue
         cameras[k], xy[own] = _corrected(foreign, k, own, v[own])
         losses.append(
-            f"camera {camera.name}: the format does not hold the model {camera.model.name} as it is; the image"
-            " coordinates are written corrected, with a camera free of distortion"
+            f"camera {camera.name}: the format cannot represent the model {camera.model.name}; the image"
+            " coordinates are written corrected, with a camera without distortion"
         )
     for camera in foreign.cameras:
         if camera.image_unit == "mm":
@@ -146,7 +146,7 @@ def in_pixels(block: Block, holds: Callable[[ForeignCamera], bool]) -> Written:
 
 
 def _format(camera: ForeignCamera, half: float, xy: Float[np.ndarray, "ray 2"]) -> tuple[int, int]:
-    """Width and height in px; of a camera that has none, what its rays fill. `half`: px per unit of the rays."""
+    """Width and height in px; without them, from the extent of the rays. `half`: px per unit of the rays."""
     if camera.width and camera.height:
         return camera.width, camera.height
     if camera.image_unit == "px" and camera.model is not BAL:
@@ -220,7 +220,7 @@ def _corrected(
         images=foreign.images._replace(camera=np.zeros(len(foreign.images.names), np.int64)),
         rays=RayTable(foreign.rays.image[own], foreign.rays.point[own], np.zeros((len(own), 2))),
     )
-    computed, _ = ray_residuals(one)  # of a measurement 0: the computed coordinates, y up
+    computed, _ = ray_residuals(one)  # residual of a measurement 0: the computed coordinates, y up
     return free, computed * [1, -1] - v * [scale, -scale]
 
 
@@ -231,7 +231,7 @@ def is_free(camera: ForeignCamera) -> bool:
 
 
 def losses_of_block(block: Block, holds: frozenset[str]) -> list[str]:
-    """What of a block has no place in a format; `holds`: tables that have one, and "sigmas"."""
+    """Contents of a block that a format cannot represent; `holds`: supported tables, and "sigmas"."""
     s, losses = block.structure, []
     for group in block.groups:
         if group.structure.kind.table not in holds:
@@ -242,7 +242,7 @@ def losses_of_block(block: Block, holds: frozenset[str]) -> list[str]:
     if "control" not in holds and len(s.check_point):
         losses.append(f"{counted(len(s.check_point), 'check point')}")
     if "sigmas" not in holds and np.ptp(on_host(block.rays.sigmas)) > 0:
-        losses.append("the standard deviations of single image coordinates")
+        losses.append("the individual standard deviations of image coordinates")
     if s.datum.kind in ("fixed", "inner") or s.datum.held:
         losses.append("the datum")
     return losses

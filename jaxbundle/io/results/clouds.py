@@ -1,7 +1,7 @@
-"""Object points as a cloud: PLY, and LAS or LAZ with standard deviations as extra dimensions.
+"""Writing object points as a cloud: PLY, and LAS or LAZ with standard deviations as extra dimensions.
 
 PLY is binary_little_endian with x, y, z double, red, green, blue uchar, and sX, sY, sZ float and rays int. LAS is
-version 1.4, point format 2, with a scale of 0.001; its coordinate system is that of the block where it is known.
+version 1.4, point format 2, with a scale of 0.001; it has the coordinate system of the block where that is known.
 """
 
 from pathlib import Path
@@ -10,7 +10,7 @@ import numpy as np
 
 from jaxbundle.io.formats.coordinates import crs_of, is_metric_local
 from jaxbundle.io.formats.extras import extra
-from jaxbundle.io.results.features import Features
+from jaxbundle.io.results.map_features import Features
 from jaxbundle.io.results.system import system_of
 
 GREY = 128
@@ -19,7 +19,7 @@ SIGMAS = ("sX", "sY", "sZ")
 
 
 def write_ply(features: Features, path: Path) -> None:
-    """Writes the object points."""
+    """Writes the object points as PLY."""
     fields = [("x", "<f8"), ("y", "<f8"), ("z", "<f8"), ("red", "u1"), ("green", "u1"), ("blue", "u1")]
     names = {"<f8": "double", "u1": "uchar", "<f4": "float", "<i4": "int"}
     if features.sigmas is not None:

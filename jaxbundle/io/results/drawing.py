@@ -1,13 +1,18 @@
-"""A drawing (DXF): layers POINTS, IMAGES, RESIDUALS and ELLIPSES, in the object system; the last two stretched."""
+"""Writing a drawing (DXF): layers POINTS, IMAGES, and RESIDUALS and ELLIPSES, which are enlarged."""
 
 from pathlib import Path
 
 from jaxbundle.io.formats.extras import extra
-from jaxbundle.io.results.features import Features
+from jaxbundle.io.results.map_features import Features
 from jaxbundle.io.results.maps import LINE, POINT, layers_of
 
-COLOURS = {"points": 7, "images": 5, "residuals": 1, "ellipses": 3}  # of AutoCAD's index: white, blue, red, green
-SHARE = 0.004  # of the extent: height of the names
+COLOURS = {
+    "points": 7,
+    "images": 5,
+    "residuals": 1,
+    "ellipses": 3,
+}  # colours of AutoCAD's index: white, blue, red, green
+SHARE = 0.004  # share of the extent: height of the names
 
 
 def write_dxf(features: Features, path: Path) -> None:

@@ -1,4 +1,4 @@
-"""Results in a file whose suffix says the form."""
+"""Writing results to a file; its suffix determines the format."""
 
 from collections.abc import Callable
 from pathlib import Path
@@ -6,7 +6,7 @@ from pathlib import Path
 from jaxbundle.block.block import Block
 from jaxbundle.io.results.clouds import write_las, write_ply
 from jaxbundle.io.results.drawing import write_dxf
-from jaxbundle.io.results.features import Features, features_of
+from jaxbundle.io.results.map_features import Features, features_of
 from jaxbundle.io.results.maps import write_geojson, write_geopackage, write_kml
 from jaxbundle.solve.adjustment import Adjustment
 
@@ -22,14 +22,14 @@ EXPORTS: dict[str, Callable[[Features, Path], None]] = {
 
 
 def export(result: Block | Adjustment, path: str | Path) -> None:
-    """Writes points, images, residual vectors and error ellipses for programs that show them.
+    """Writes points, images, residual vectors and error ellipses for display in other programs.
 
     Args:
-        result: an adjustment, or a block as it stands, which has no standard deviations.
-        path: the file; its suffix says the form: .ply, .las, .laz, .geojson, .gpkg, .kml or .dxf.
+        result: an adjustment, or a block, which has no standard deviations.
+        path: the file; its suffix determines the format: .ply, .las, .laz, .geojson, .gpkg, .kml or .dxf.
 
     Raises: ValueError for another suffix; FileExistsError where the file exists; BlockError where a package is missing
-    or the coordinate system that a form needs is not known.
+    or the coordinate system that a format needs is unknown.
 
     Example:
 

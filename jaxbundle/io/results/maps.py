@@ -1,7 +1,7 @@
-"""Maps: GeoJSON and KML in longitude and latitude, GeoPackage in the system of the block.
+"""Writing maps: GeoJSON and KML in longitude and latitude, GeoPackage in the system of the block.
 
-GeoJSON (RFC 7946) and KML know WGS 84 only, so the system of the block must be known. Error ellipses and residual
-vectors are drawn stretched, by the factor that stands in their rows.
+GeoJSON (RFC 7946) and KML use WGS 84 only, so the system of the block must be known. Error ellipses and residual
+vectors are enlarged by the factor in their rows.
 """
 
 import json
@@ -17,17 +17,17 @@ from jaxtyping import Float
 from jaxbundle.block.problems import BlockError, Problem
 from jaxbundle.io.formats.coordinates import crs_of, is_metric_local, transformed
 from jaxbundle.io.formats.extras import extra
-from jaxbundle.io.results.features import Features
+from jaxbundle.io.results.map_features import Features
 from jaxbundle.io.results.system import system_of
 
 WGS84 = "EPSG:4979"
-CORNERS = 36  # of a drawn ellipse
+CORNERS = 36  # vertices of a drawn ellipse
 POINT, LINE, POLYGON = "Point", "LineString", "Polygon"
 WKB = {POINT: 1001, LINE: 1002, POLYGON: 1003}  # with heights
 
 
 class Layer(NamedTuple):
-    """Rows of one kind of geometry: the coordinates of each, and columns of what else is known."""
+    """Rows of one kind of geometry: the coordinates of each, and columns of attributes."""
 
     name: str
     geometry: str
@@ -36,7 +36,7 @@ class Layer(NamedTuple):
 
 
 def layers_of(features: Features) -> list[Layer]:
-    """points, images, residuals and ellipses, as far as there are any."""
+    """Layers of points, images, residuals and ellipses, if there are any."""
     s = features.block.structure
     columns: dict[str, list[Any]] = {"point": list(s.point_names), "rays": features.rays.tolist()}
     if features.sigmas is not None:
@@ -59,7 +59,7 @@ def layers_of(features: Features) -> list[Layer]:
 
 
 def outline(features: Features, point: int) -> Float[np.ndarray, "corner 3"]:
-    """The stretched error ellipse of a point, closed."""
+    """The enlarged error ellipse of a point, as a closed line."""
     assert features.ellipses is not None
     (a, b), direction = features.ellipses.axes[point] * features.ellipse_scale, features.ellipses.direction[point]
     t = np.linspace(0, 2 * math.pi, CORNERS + 1)
@@ -91,12 +91,12 @@ def _ellipses(features: Features) -> Layer:
 def _on_earth(features: Features, path: Path) -> list[Layer]:
     """All layers in longitude, latitude and height.
 
-    Raises: BlockError where the system of the block is not known.
+    Raises: BlockError where the system of the block is unknown.
     """
     system = system_of(features.block)
     if not system or is_metric_local(system) or system.startswith("topocentric"):
-        what = f"{path.name} needs longitude and latitude, and the coordinate system of the block is not known"
-        cure = "write .gpkg, .dxf or .ply, which need none; or give 'coordinate system: EPSG:n' in source of block.toml"
+        what = f"{path.name} needs longitude and latitude, and the coordinate system of the block is unknown"
+        cure = "write .gpkg, .dxf or .ply instead, or write 'coordinate system: EPSG:n' in source of block.toml"
         raise BlockError([Problem(what, cure)])
 
     def moved(layer: Layer) -> Layer:

@@ -1,4 +1,4 @@
-"""The coordinate reference system of a block, as its source says."""
+"""The coordinate reference system of a block, from its source text."""
 
 from jaxbundle.block.block import Block
 
@@ -6,5 +6,5 @@ MARK = "coordinate system: "
 
 
 def system_of(block: Block) -> str:
-    """The text of the system; "" where it is not known."""
+    """The text of the system; "" where it is unknown."""
     return block.structure.source.partition(MARK)[2].strip()

@@ -8,7 +8,7 @@ import numpy as np
 from jaxtyping import Float, Int
 
 from jaxbundle.block.block import Structure
-from jaxbundle.block.observations import ObservationGroup
+from jaxbundle.block.observation_kinds import ObservationGroup
 from jaxbundle.normals.plan import elimination_order
 from jaxbundle.normals.plan.incidence import Views, border_points, group_image_pairs, own_cameras, views_of
 from jaxbundle.normals.plan.layout import EXTERIOR, Layout

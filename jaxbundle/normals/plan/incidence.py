@@ -6,7 +6,7 @@ import numpy as np
 from jaxtyping import Bool, Float, Int
 
 from jaxbundle.block.block import Structure
-from jaxbundle.block.observations import ObservationGroup
+from jaxbundle.block.observation_kinds import ObservationGroup
 from jaxbundle.normals.plan.tiling import SLOTS
 
 BORDER_SHARE = 0.1  # of the images' unknowns: so much of a border costs less than the matrix it keeps sparse

@@ -11,7 +11,7 @@ import numpy as np
 from jaxtyping import Float
 
 from jaxbundle.block.block import Structure
-from jaxbundle.block.observations import GroupStructure, ObservationGroup
+from jaxbundle.block.observation_kinds import GroupStructure, ObservationGroup
 from jaxbundle.normals.plan.elimination_plan import EliminationPlan, plan_elimination
 from jaxbundle.normals.plan.reduced_plan import MAX_FACTOR, Method
 

@@ -1,4 +1,4 @@
-"""Axes of a chart in SVG: from numbers to coordinates on the paper, with ticks, labels, and the frame around."""
+"""Axes of a chart in SVG: numbers to picture coordinates, with ticks, labels and frame."""
 
 import math
 from collections.abc import Sequence
@@ -10,13 +10,13 @@ from jaxtyping import Float
 from jaxbundle.report.html.markup import tag, text
 from jaxbundle.report.pictures.known import known, nice
 
-HEAD = 5.0  # length of the head of an arrow on the paper
+HEAD = 5.0  # length of the head of an arrow in the picture
 LOG_FLOOR = 1e-300  # the logarithm of 0 is not finite
 
 
 @dataclass(frozen=True)
 class Axes:
-    """Limits in x and y, size of the paper and its margins. `log_x`, `log_y`: the limits are powers of ten."""
+    """Limits in x and y, size of the picture and its margins. `log_x`, `log_y`: the limits are powers of ten."""
 
     x: tuple[float, float]
     y: tuple[float, float]
@@ -30,16 +30,16 @@ class Axes:
     log_y: bool = False
 
     def u(self, x: np.ndarray | float) -> Float[np.ndarray, "..."]:
-        """Coordinates across the paper, in units of the picture."""
+        """Horizontal picture coordinates of values."""
         return self.left + _share(x, self.x, self.log_x) * (self.width - self.left - self.right)
 
     def v(self, y: np.ndarray | float) -> Float[np.ndarray, "..."]:
-        """Coordinates down the paper, in units of the picture."""
+        """Vertical picture coordinates of values, downwards."""
         return self.height - self.bottom - _share(y, self.y, self.log_y) * (self.height - self.top - self.bottom)
 
     @property
     def scale(self) -> float:
-        """Length on the paper of one unit across."""
+        """Length in the picture of one unit of x."""
         return (self.width - self.left - self.right) / (self.x[1] - self.x[0])
 
     def frame(self, across: str, up: str, categories: Sequence[str] = ()) -> str:
@@ -61,12 +61,12 @@ class Axes:
         return "".join(parts)
 
     def picture(self, inside: str, name: str, **attributes: object) -> str:
-        """The whole picture."""
+        """The complete SVG of a picture."""
         box = f"0 0 {self.width:g} {self.height:g}"
         return tag("svg", inside, viewBox=box, role="img", aria_label=name, **attributes)
 
     def line(self, x: np.ndarray, y: np.ndarray, kind: str) -> str:
-        """A line through points; it is interrupted where a number is not known."""
+        """A line through points; it is interrupted where a number is unknown."""
         u, v = self.u(known(x)), self.v(known(y))
         steps, pen = [], "M"
         for a, b in zip(u.tolist(), v.tolist(), strict=True):
@@ -104,7 +104,7 @@ def _ticks(bounds: tuple[float, float], log: bool, count: int) -> list[tuple[flo
 
 
 def arrow(du: float, dv: float) -> str:
-    """Steps of a path along an arrow, and of its head where it is long enough to have one."""
+    """Path of an arrow; short arrows have no head."""
     length = math.hypot(du, dv)
     if not length > 5:
         return f"l{du:.1f} {dv:.1f}"
@@ -125,7 +125,7 @@ def log_limits(values: np.ndarray) -> tuple[float, float]:
 
 
 def plan_axes(bounds: tuple[float, float, float, float], width: float = 760, highest: float = 560) -> Axes:
-    """Axes of equal scales for a plan; `bounds`: lowest x, lowest y, highest x, highest y."""
+    """Axes of equal scales for a plan; `bounds`: minimum x, minimum y, maximum x, maximum y."""
     west, south, east, north = bounds
     across, up = east - west, north - south
     inner = width - 24
@@ -141,7 +141,7 @@ def plan_axes(bounds: tuple[float, float, float, float], width: float = 760, hig
 
 
 def scale_bar(axes: Axes, unit: str, north: bool = True) -> str:
-    """A bar of a round length below the plan, and an arrow to the north: to larger Y."""
+    """A scale bar of a round length below the plan, and a north arrow (towards larger Y)."""
     length = nice(140 / axes.scale)
     size, y = length * axes.scale, axes.height - 16
     words = f"{length:g} {unit}"

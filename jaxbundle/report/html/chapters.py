@@ -1,35 +1,35 @@
-"""What stands in each chapter of the page: its pictures, then the sections that belong to it."""
+"""Content of the chapters of the page: pictures, then the sections of the chapter."""
 
 from collections.abc import Callable, Iterable, Mapping
 
 import numpy as np
 
 from jaxbundle.report.figures import Figures
-from jaxbundle.report.html import charts, drawings, verdict
+from jaxbundle.report.html import charts, drawings, verdict_tiles
+from jaxbundle.report.html.html_tables import Rows, section_html
 from jaxbundle.report.html.markup import figure, tag, text
-from jaxbundle.report.html.scene import scene
-from jaxbundle.report.html.tables import Rows, section_html
-from jaxbundle.report.pictures import cameras, network, points, rays, vectors
+from jaxbundle.report.html.packed_scene import scene
+from jaxbundle.report.pictures import camera_pictures, network, point_pictures, ray_pictures, vector_pictures
 from jaxbundle.report.pictures.known import root_mean_square
-from jaxbundle.report.pictures.plan import Plan, plan
+from jaxbundle.report.pictures.plan_picture import Plan, plan
 from jaxbundle.report.section import Chapter, ReportColumn, Section, digits, fixed
 
-CAMERAS = 20  # with pictures of their own; the tables have all
-HIGH_RMS = 1.5  # rms of w / sigma0 of an image that is marked
-FEW_CHECK_POINTS = 30  # ASPRS (2023) wants so many for a statement of accuracy
+CAMERAS = 20  # maximum number of cameras with pictures; the tables contain all
+HIGH_RMS = 1.5  # images with a larger rms of w / sigma0 are marked
+FEW_CHECK_POINTS = 30  # minimum number for a statement of accuracy (ASPRS 2023)
 
 
 def chapters_of(figures: Figures, sections: Iterable[Section]) -> dict[Chapter, str]:
-    """The markup of every chapter in its order; one without content is left out."""
+    """The markup of all chapters in order; a chapter without content is left out."""
     rows: Rows = {}
     seen, extra = plan(figures), _extra(figures)
     by_chapter: dict[Chapter, list[str]] = {chapter: [] for chapter in Chapter}
     for section in sections:
         if section.chapter is Chapter.VERDICT and section.title == "Verdict":
-            continue  # it stands in the tiles and the findings
+            continue  # its content is in the tiles and the findings
         by_chapter[section.chapter].append(section_html(section, extra, rows))
     makers: Mapping[Chapter, Callable[[], str]] = {
-        Chapter.VERDICT: lambda: verdict.tiles(figures) + verdict.findings_html(figures, rows),
+        Chapter.VERDICT: lambda: verdict_tiles.tiles(figures) + verdict_tiles.findings_html(figures, rows),
         Chapter.PLAN: lambda: _plan(figures, seen),
         Chapter.CONTROL: lambda: _control(figures, seen),
         Chapter.RESIDUALS: lambda: _residuals(figures),
@@ -49,13 +49,13 @@ def chapters_of(figures: Figures, sections: Iterable[Section]) -> dict[Chapter, 
 
 
 def chance(probability: float) -> str:
-    """A probability in a sentence."""
+    """A probability for use in a sentence."""
     return "p < 0.0001" if probability < 1e-4 else f"p = {probability:.2g}"
 
 
 def _extra(figures: Figures) -> dict[str, tuple[ReportColumn, ...]]:
-    """Columns of the page alone: what the rays tell of an image, and t of check points."""
-    found = rays.image_figures(figures)
+    """Additional columns of the page: residuals of each image, and t of check points."""
+    found = ray_pictures.image_figures(figures)
     names = ("rms vx", "rms vy")
     columns = [ReportColumn("", v, name, lambda x: digits(x, 3)) for name, v in zip(names, found.rms.T, strict=False)]
     columns += [
@@ -63,7 +63,7 @@ def _extra(figures: Figures) -> dict[str, tuple[ReportColumn, ...]]:
         ReportColumn("", found.largest, "largest", lambda x: fixed(x, 2)),
         ReportColumn("", 100 * found.coverage, "covered [%]", lambda x: fixed(x, 0)),
     ]
-    check = vectors.check_vectors(figures)
+    check = vector_pictures.check_vectors(figures)
     t = [ReportColumn("", v, f"t {c}", lambda x: fixed(x, 2)) for c, v in zip("XYZ", check.ratio.T, strict=True)]
     return {"images": tuple(columns), "check_points": tuple(t)}
 
@@ -79,7 +79,7 @@ def _plan(figures: Figures, seen: Plan) -> str:
         for action, label, title in (
             ("in", "+", "zoom in"),
             ("out", "\u2212", "zoom out"),
-            ("tilt", "3D", "tilt the view; drag turns it"),
+            ("tilt", "3D", "tilt the view; drag to rotate"),
             ("outlines", "Outlines", "outlines of the images"),
             ("ties", "Tie points", "show the tie points"),
             ("sd", "Precision", "colour the tie points by their standard deviation"),
@@ -90,34 +90,34 @@ def _plan(figures: Figures, seen: Plan) -> str:
     moving = tag("div", buttons, class_="tools") + canvas + tag("p", "", class_="hover", aria_live="polite")
     script = tag("script", data, type="application/json", id="scene")
     moved = tag("div", moving + tag("p", text(f"{words}; click on a mark to see its row."), class_="more"))
-    still = tag("div", figure(drawn, f"{legend} Of the block {said}."), class_="still")
+    still = tag("div", figure(drawn, f"{legend} In this block {said}."), class_="still")
     return still + tag("div", moved, class_="plan scripted", id="plan") + script
 
 
 def _control(figures: Figures, seen: Plan) -> str:
-    control, check = vectors.control_vectors(figures), vectors.check_vectors(figures)
+    control, check = vector_pictures.control_vectors(figures), vector_pictures.check_vectors(figures)
     groups = {name: found for name, found in (("control", control), ("check", check)) if found.names}
     if not groups:
         return tag("p", "There are no observed control points and no check points.")
     west, south, east, north = drawings.bounds_of(seen)
-    factor = vectors.arrow_factor(list(groups.values()), float(np.hypot(east - west, north - south)))
+    factor = vector_pictures.arrow_factor(list(groups.values()), float(np.hypot(east - west, north - south)))
     unit = figures.structure.object_unit
     drawn = drawings.vector_drawing(seen, groups, factor, unit)
     caption = (
-        f"Adjusted less given coordinates: arrows in X and Y, bars in Z, all enlarged {factor:g} times. Blue triangles:"
-        " control points (internal, they took part); orange squares: check points (external, they did not)."
+        f"Adjusted - given coordinates: arrows in X and Y, bars in Z, all enlarged {factor:g} times. Blue triangles:"
+        " control points (internal, used); orange squares: check points (external, not used)."
     )
     slider = tag("input", type="range", min="-2", max="2", step="0.1", value="0", aria_label="length of the arrows")
     slider = tag("label", f"Length of arrows {slider}" + tag("output", "x 1"), class_="scripted factor")
     return slider + figure(drawn, caption, "wide") + _statistics(groups, unit)
 
 
-def _statistics(groups: dict[str, vectors.Vectors], unit: str) -> str:
-    """Statistics of the differences, control and check points apart, and the test of the check points."""
+def _statistics(groups: dict[str, vector_pictures.Vectors], unit: str) -> str:
+    """Statistics of the differences, separate for control and check points, and the test of the check points."""
     heads = ("", "number", "rms", "expected rms", "mean", "largest")
     lines = []
     for name, group in groups.items():
-        found = vectors.spread(group)
+        found = vector_pictures.spread(group)
         kind = "internal" if name == "control" else "external"
         for k, c in enumerate("XYZ"):
             if found.number[k]:
@@ -130,11 +130,11 @@ def _statistics(groups: dict[str, vectors.Vectors], unit: str) -> str:
     return table + "".join(tag("p", text(words)) for words in _accuracy(groups, unit))
 
 
-def _accuracy(groups: dict[str, vectors.Vectors], unit: str) -> list[str]:
+def _accuracy(groups: dict[str, vector_pictures.Vectors], unit: str) -> list[str]:
     if "check" not in groups:
-        return ["There are no check points: how accurate the block is from outside is not known."]
+        return ["There are no check points: the external accuracy of the block is unknown."]
     check = groups["check"]
-    total, count, probability = vectors.external_test(check)
+    total, count, probability = vector_pictures.external_test(check)
     words = []
     if count:
         verdict = "agree" if probability > 0.05 else "do not agree"
@@ -143,10 +143,10 @@ def _accuracy(groups: dict[str, vectors.Vectors], unit: str) -> list[str]:
             f" of {count} differences, {chance(probability)} (chi-square, upper tail; limit 0.05)."
         )
     d = check.difference
-    ce = vectors.CE90 * root_mean_square(np.hypot(d[:, 0], d[:, 1]))
-    le = vectors.LE90 * root_mean_square(d[:, 2])
+    ce = vector_pictures.CE90 * root_mean_square(np.hypot(d[:, 0], d[:, 1]))
+    le = vector_pictures.LE90 * root_mean_square(d[:, 2])
     points = len(check.names)
-    few = f"; {FEW_CHECK_POINTS} points or more are wanted for such a statement" if points < FEW_CHECK_POINTS else ""
+    few = f"; {FEW_CHECK_POINTS} points or more are required for such a statement" if points < FEW_CHECK_POINTS else ""
     words.append(f"CE90 {digits(ce, 3)}, LE90 {digits(le, 3)} {unit} from {points} check points{few}.")
     return words
 
@@ -154,7 +154,7 @@ def _accuracy(groups: dict[str, vectors.Vectors], unit: str) -> list[str]:
 def _residuals(figures: Figures) -> str:
     if not len(figures.structure.ray_image):
         return ""
-    histogram, quantiles = rays.residual_histogram(figures), rays.normal_quantiles(figures)
+    histogram, quantiles = ray_pictures.residual_histogram(figures), ray_pictures.normal_quantiles(figures)
     is_w = figures.reliability is not None
     what = "w / sigma0" if is_w else "v / (sigma0 sigma), which is smaller than w / sigma0"
     parts = [
@@ -164,18 +164,18 @@ def _residuals(figures: Figures) -> str:
         ),
         figure(
             charts.histogram_chart(histogram, "histogram of the residuals, logarithmic", log=True),
-            "The same on a logarithmic scale: what stands far outside are gross errors.",
+            "The same on a logarithmic scale: values far outside are gross errors.",
         ),
         figure(
             charts.quantile_chart(quantiles, "quantiles of the residuals"),
-            "Quantiles of the residuals over normal ones; dashed: where they agree.",
+            "Quantiles of the residuals over quantiles of the normal distribution; dashed: equal quantiles.",
         ),
     ]
     return tag("div", parts, class_="figures")
 
 
 def _images(figures: Figures) -> str:
-    found = rays.image_figures(figures)
+    found = ray_pictures.image_figures(figures)
     names = figures.structure.image_names
     if not len(names):
         return ""
@@ -184,7 +184,7 @@ def _images(figures: Figures) -> str:
         found.standardised[chosen], tuple(names[k] for k in chosen), HIGH_RMS, "residuals of the images"
     )
     high = int((np.nan_to_num(found.standardised) > HIGH_RMS).sum())
-    caption = f"Root mean square of w / sigma0 of each image, 1 is expected; {high} of {len(names)} exceed {HIGH_RMS}."
+    caption = f"Root mean square of w / sigma0 of each image (expected: 1); {high} of {len(names)} exceed {HIGH_RMS}."
     if len(chosen) < len(names):
         caption += f" {len(chosen)} images are drawn."
     return figure(chart, caption, "wide")
@@ -204,18 +204,18 @@ def _cameras(figures: Figures) -> str:
 
 def _camera(figures: Figures, c: int) -> str:
     name = figures.structure.cameras[c].name
-    parts, field = [], rays.residual_field(figures, c)
+    parts, field = [], ray_pictures.residual_field(figures, c)
     if len(field.rays):
         drawn, factor = drawings.field_drawing(field, f"mean residuals of camera {name}")
         p = chance(field.probability)
         caption = f"Mean residuals in {len(field.rays)} cells of the format, enlarged {factor:g} times; blue: more than"
-        caption += f" 3 of their standard deviations. All zero: {p}, correlations between residuals neglected."
+        caption += f" 3 of their standard deviations. Hypothesis of zero means: {p}, correlations neglected."
         parts.append(figure(drawn, caption))
-    curve = cameras.distortion(figures, c)
+    curve = camera_pictures.distortion(figures, c)
     if curve is not None:
         chart = charts.distortion_chart(curve, f"radial distortion of camera {name}")
         parts.append(figure(chart, "Radial distortion over the radius, with a band of one standard deviation."))
-    found = cameras.correlations(figures, c)
+    found = camera_pictures.correlations(figures, c)
     if found is not None:
         chart = charts.correlation_chart(found, f"correlations of camera {name}")
         parts.append(figure(chart, "Correlations of the estimated elements."))
@@ -226,11 +226,11 @@ def _points(figures: Figures, seen: Plan) -> str:
     parts, unit = [], figures.structure.object_unit
     if (np.nan_to_num(figures.points_sd) > 0).any():
         for component in ("Z", "X"):
-            found = points.precision_map(figures, component)
+            found = point_pictures.precision_map(figures, component)
             name = f"standard deviations of {component}"
             drawn = drawings.precision_drawing(found, seen, unit, name)
             parts.append(figure(drawn, f"Median standard deviation of {component} over the block; triangles: control."))
-    counts = points.ray_counts(figures)
+    counts = point_pictures.ray_counts(figures)
     if counts.points.sum():
         parts.append(figure(charts.counts_chart(counts, "rays of the points"), "Points by their number of rays."))
     return tag("div", parts, class_="figures")
@@ -259,13 +259,13 @@ def _reliability(figures: Figures) -> str:
         [f"{edge:.1f}" if k % 2 == 0 else "" for k, edge in enumerate(edges[:-1])],
     )
     chart = charts.bar_chart(counts.astype(float), labels, ("redundancy number", "number"), "redundancy numbers")
-    caption = "Redundancy numbers of the image coordinates: the part of an error that shows in its own residual."
+    caption = "Redundancy numbers of the image coordinates: the part of an error that appears in its residual."
     return tag("div", figure(chart, caption), class_="figures")
 
 
 def _iterations(figures: Figures) -> str:
     history = figures.adjustment.iterations.history
     if not len(np.flatnonzero(~np.isnan(np.asarray(history.damping)))):
-        return tag("p", "This engine does not tell its iterations.")
+        return tag("p", "This solver does not report its iterations.")
     drawn = [figure(picture, name) for name, picture in charts.history_charts(history)]
     return tag("div", drawn, class_="figures")

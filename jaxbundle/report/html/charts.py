@@ -1,4 +1,4 @@
-"""Charts of one pair of axes each, in SVG."""
+"""Charts in SVG, each with one pair of axes."""
 
 import numpy as np
 from scipy.special import ndtr
@@ -6,17 +6,17 @@ from scipy.special import ndtr
 from jaxbundle.report.html.axes import Axes, log_limits
 from jaxbundle.report.html.markup import tag, text, titled
 from jaxbundle.report.html.raster import signed
-from jaxbundle.report.pictures.cameras import Correlations, Distortion
+from jaxbundle.report.pictures.camera_pictures import Correlations, Distortion
 from jaxbundle.report.pictures.known import known, limits
-from jaxbundle.report.pictures.points import MOST_RAYS, RayCounts
-from jaxbundle.report.pictures.rays import Histogram
+from jaxbundle.report.pictures.point_pictures import MOST_RAYS, RayCounts
+from jaxbundle.report.pictures.ray_pictures import Histogram
 from jaxbundle.solve.history import History
 
-NOTABLE = 0.9  # a correlation whose number is set in bold
+NOTABLE = 0.9  # correlations above this are printed in bold
 
 
 def histogram_chart(histogram: Histogram, name: str, log: bool = False) -> str:
-    """Counts of x and y as steps, with the normal distribution of as many values."""
+    """Histograms of x and y as steps, with the normal distribution of the same number of values."""
     edges, counts = histogram
     width, total = edges[1] - edges[0], counts.sum(1).max(initial=0)
     fine = np.linspace(edges[0], edges[-1], 181)
@@ -41,7 +41,7 @@ def histogram_chart(histogram: Histogram, name: str, log: bool = False) -> str:
 
 
 def quantile_chart(quantiles: np.ndarray, name: str) -> str:
-    """Quantiles of the residuals over those of the normal distribution: on the line where they agree."""
+    """Quantiles of the residuals over those of the normal distribution: equal quantiles lie on the line."""
     bounds = limits(np.append(quantiles.ravel(), [-3, 3]))
     axes = Axes(bounds, bounds, width=300, height=280)
     line = axes.line(np.array(bounds), np.array(bounds), "line expected")
@@ -54,7 +54,7 @@ def quantile_chart(quantiles: np.ndarray, name: str) -> str:
 
 
 def bar_chart(numbers: np.ndarray, labels: list[str], axis: tuple[str, str], name: str) -> str:
-    """Bars from zero, one for each label."""
+    """A chart with one bar for each label."""
     top = float(max(known(numbers).max(initial=0.0, where=np.isfinite(known(numbers))), 1e-12))
     axes = Axes((-0.6, len(numbers) - 0.4), (0.0, 1.08 * top), bottom=44)
     base, half = axes.height - axes.bottom, 0.36 * axes.scale
@@ -81,7 +81,7 @@ def counts_chart(counts: RayCounts, name: str) -> str:
 
 
 def strip_chart(values: np.ndarray, names: tuple[str, ...], limit: float, name: str) -> str:
-    """One mark for each image in its order, on an absolute scale; those beyond the limit are marked."""
+    """A chart with one mark for each image in order, on an absolute scale; marks above the limit are highlighted."""
     values = known(values)
     top = float(max(1.15 * np.nanmax(np.append(values, 0.0)), 1.25 * limit))
     axes = Axes((-0.5, len(values) - 0.5), (0.0, top), width=900, height=260)
@@ -98,7 +98,7 @@ def strip_chart(values: np.ndarray, names: tuple[str, ...], limit: float, name: 
 
 
 def distortion_chart(curve: Distortion, name: str) -> str:
-    """Radial distortion with a band of one standard deviation on each side."""
+    """A chart of the radial distortion with a band of one standard deviation on each side."""
     low, high = curve.distortion - curve.sd, curve.distortion + curve.sd
     both = np.concatenate([curve.distortion, low, high, [0.0]])
     axes = Axes((0.0, float(curve.radius[-1]) or 1.0), limits(both, 0.08), left=64)
@@ -114,7 +114,7 @@ def distortion_chart(curve: Distortion, name: str) -> str:
 
 
 def correlation_chart(found: Correlations, name: str) -> str:
-    """The matrix of correlations: blue below zero, orange above, with its numbers."""
+    """A chart of the matrix of correlations with numbers: blue below zero, orange above."""
     count = len(found.elements)
     cell, left = (44.0 if count <= 8 else 34.0), 124.0
     parts = []
@@ -135,7 +135,7 @@ def correlation_chart(found: Correlations, name: str) -> str:
 
 
 def history_charts(history: History) -> list[tuple[str, str]]:
-    """v^T P v, damping and step over the iterations, on logarithmic scales; steps that were rejected are crosses."""
+    """Charts of v^T P v, damping and step over the iterations, on logarithmic scales; rejected steps are crosses."""
     rows = np.flatnonzero(~np.isnan(np.asarray(history.damping)))
     accepted = np.asarray(history.accepted)[rows]
     named = (

@@ -1,4 +1,4 @@
-"""Plans in SVG: the block from above, arrows at control and check points, connections, the map of precision."""
+"""Plans in SVG: the block in plan view, arrows at control and check points, connections, the map of precision."""
 
 from collections.abc import Callable
 from typing import NamedTuple
@@ -10,24 +10,24 @@ from jaxbundle.report.html.markup import tag, text, titled
 from jaxbundle.report.html.raster import hexadecimal, png, viridis
 from jaxbundle.report.pictures.known import limits, nice
 from jaxbundle.report.pictures.network import WEAK, Connections
-from jaxbundle.report.pictures.plan import CHECK_POINT, CONTROL_POINT, TIE, Plan
-from jaxbundle.report.pictures.points import PrecisionMap
-from jaxbundle.report.pictures.rays import Field
-from jaxbundle.report.pictures.vectors import Vectors
+from jaxbundle.report.pictures.plan_picture import CHECK_POINT, CONTROL_POINT, TIE, Plan
+from jaxbundle.report.pictures.point_pictures import PrecisionMap
+from jaxbundle.report.pictures.ray_pictures import Field
+from jaxbundle.report.pictures.vector_pictures import Vectors
 
-MOST_MARKS = 1500  # of one sort in a picture that does not move; the script draws all
-LABELLED = 40  # names beside points
+MOST_MARKS = 1500  # maximum number of objects of one type in a static picture; the script draws all
+LABELLED = 40  # maximum number of points with names
 
 
 def bounds_of(plan: Plan) -> tuple[float, float, float, float]:
-    """Limits of the stations, the outlines, and the points."""
+    """Limits of the coordinates of stations, outlines and points."""
     xy = np.concatenate([plan.stations[:, :2], plan.points[:, :2]])
     (west, east), (south, north) = limits(xy[:, 0]), limits(xy[:, 1])
     return west, south, east, north
 
 
 def thinned(count: int, most: int = MOST_MARKS) -> np.ndarray:
-    """Indices of at most so many of a number of things, evenly spread."""
+    """Evenly spread indices, up to a maximum number."""
     return np.unique(np.linspace(0, count - 1, min(count, most)).round().astype(int)) if count else np.zeros(0, int)
 
 
@@ -36,17 +36,17 @@ def _there(xy: np.ndarray) -> np.ndarray:
 
 
 def triangle(u: float, v: float, size: float) -> str:
-    """Path of a triangle around a point of the paper."""
+    """Path of a triangle around a point of the picture."""
     return f"M{u:.1f} {v - size:.1f}l{size:.1f} {1.75 * size:.1f}h{-2 * size:.1f}z"
 
 
 def square(u: float, v: float, size: float) -> str:
-    """Path of a square around a point of the paper."""
+    """Path of a square around a point of the picture."""
     return f"M{u - size:.1f} {v - size:.1f}h{2 * size:.1f}v{2 * size:.1f}h{-2 * size:.1f}z"
 
 
 def block_drawing(plan: Plan, names: tuple[str, ...], points: tuple[str, ...], unit: str) -> tuple[str, str]:
-    """The block from above, and what of it is drawn."""
+    """The plan of the block, and a sentence about the drawn part."""
     axes = plan_axes(bounds_of(plan))
     tie = _there(plan.points)
     tie = tie[plan.role[tie] == TIE]
@@ -95,7 +95,7 @@ def _marks(axes: Axes, xy: np.ndarray, names: list[str], shape: Callable[[float,
 
 
 def vector_drawing(plan: Plan, groups: dict[str, Vectors], factor: float, unit: str) -> str:
-    """Differences in plan as arrows, in height as bars beside them, all on the same scale."""
+    """Differences in plan as arrows, in height as bars, all on the same scale."""
     axes = plan_axes(bounds_of(plan))
     outlines = [_polygon(axes, plan.outlines[k]) for k in thinned(len(plan.outlines), 300) if len(plan.outlines[k]) > 2]
     parts = [tag("path", d="".join(outlines), class_="outline faint")]
@@ -115,7 +115,7 @@ def vector_drawing(plan: Plan, groups: dict[str, Vectors], factor: float, unit: 
 
 
 class Look(NamedTuple):
-    """How points with differences are drawn: their kind, shape, whether with names, factor and unit of differences."""
+    """Style of points with differences: kind, shape, whether with names, factor and unit of differences."""
 
     kind: str
     shape: Callable[[float, float, float], str]
@@ -125,7 +125,7 @@ class Look(NamedTuple):
 
 
 def _vector(axes: Axes, vectors: Vectors, k: int, look: Look) -> str:
-    """One point: its mark, the arrow of its difference in X and Y, the bar of that in Z."""
+    """Markup of one point: its mark, the arrow of its difference in X and Y, the bar of the difference in Z."""
     kind, shape, labelled, factor, unit = look
     u, v = float(axes.u(vectors.position[k, 0])), float(axes.v(vectors.position[k, 1]))
     d = vectors.difference[k]
@@ -188,7 +188,7 @@ def precision_drawing(found: PrecisionMap, plan: Plan, unit: str, name: str) -> 
 
 
 def _colour_scale(axes: Axes, low: float, high: float, unit: str) -> str:
-    """Eight steps of colour and the values at both ends."""
+    """The legend: eight colours and the values at both ends."""
     left, y = axes.width * 0.46, axes.height - 22
     colours = viridis((np.arange(12) + 0.5) / 12).tolist()
     boxes = [
@@ -201,14 +201,14 @@ def _colour_scale(axes: Axes, low: float, high: float, unit: str) -> str:
 
 
 def field_drawing(field: Field, name: str) -> tuple[str, float]:
-    """Mean residuals over the image format as arrows, and their factor; blue ones differ from zero by 3 of their sd."""
+    """Mean residuals over the image format as arrows, and their factor; blue ones exceed 3 of their sd."""
     left, low, right, high = field.format
     axes = plan_axes((left, low, right, high), 440, 420)
     size = np.hypot(*field.mean.T)
     cell = np.hypot(right - left, high - low) / max(np.sqrt(len(field.rays)), 3.0)
     longest = float(np.quantile(size, 0.95)) if len(size) else 0.0
     factor = nice(0.9 * cell / longest) if longest > 0 else 1.0
-    down = field.unit == "px"  # v of pixels grows downwards, residuals point up in all images
+    down = field.unit == "px"  # pixel coordinates v increase downwards, residuals are positive upwards in all images
     parts = [tag("path", d=square_of(axes, field.format), class_="format")]
     for x, y, (dx, dy), ratio, count in zip(
         field.x.tolist(), field.y.tolist(), field.mean.tolist(), field.ratio, field.rays.tolist(), strict=True

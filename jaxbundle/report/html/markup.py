@@ -1,4 +1,4 @@
-"""Elements of HTML and SVG as text; every name and sentence of a user is escaped on its way in."""
+"""Elements of HTML and SVG as text; all names and sentences from the user are escaped."""
 
 import html
 from collections.abc import Iterable
@@ -7,13 +7,13 @@ VOID = ("br", "line", "circle", "rect", "path", "polygon", "polyline", "image", 
 
 
 def text(words: object) -> str:
-    """Words as they may stand between tags and in attributes."""
+    """Text escaped for use between tags and in attributes."""
     return html.escape(str(words), quote=True)
 
 
 def tag(name: str, inside: str | Iterable[str] = "", **attributes: object) -> str:
-    """An element. `inside` is markup already; attributes are escaped: `class_`, `data_name` stand for class, data-name;
-    one that is None is left out, and numbers have two decimals at most."""
+    """An element as text. `inside` is markup; attributes are escaped: `class_`, `data_name` become class, data-name.
+    Attributes that are None are left out, and numbers have at most two decimals."""
     written = "".join(
         f' {key.rstrip("_").replace("_", "-")}="{text(_short(value))}"'
         for key, value in attributes.items()
@@ -30,10 +30,10 @@ def _short(value: object) -> object:
 
 
 def titled(words: str) -> str:
-    """What a mark says when it is pointed at."""
+    """The tooltip of a mark."""
     return f"<title>{text(words)}</title>"
 
 
 def figure(picture: str, caption: str, kind: str = "") -> str:
-    """A picture and what it shows; the caption is words, not markup."""
+    """A picture with its caption; the caption is text, not markup."""
     return tag("figure", picture + tag("figcaption", text(caption)), class_=kind or None)

@@ -1,4 +1,4 @@
-"""The whole page: title, contents, chapters, style and script, with a policy that allows nothing else."""
+"""The complete HTML page: title, contents, chapters, style and script, with a content security policy."""
 
 import base64
 import hashlib
@@ -14,7 +14,7 @@ from jaxbundle.numerics.whole_files import write_whole
 from jaxbundle.report.figures import Figures, figures_of
 from jaxbundle.report.html.chapters import chapters_of
 from jaxbundle.report.html.markup import tag, text
-from jaxbundle.report.html.verdict import chapter_address
+from jaxbundle.report.html.verdict_tiles import chapter_address
 from jaxbundle.report.made import Made, made_now, made_section
 from jaxbundle.report.section import Section
 from jaxbundle.report.sections import sections_of
@@ -26,18 +26,18 @@ def report_html(adjustment: Adjustment, made: Made | None = None, found: tuple[F
 
     Args:
         adjustment: the adjustment, of a block of photographs.
-        made: program, date, command and inputs to tell; without it the version of the program alone.
-        found: the findings, as `findings` gives them; they are looked for if None.
+        made: program, date, command and inputs; if None, only the version of the program.
+        found: the findings of `findings`; computed if None.
 
-    Returns: the page, which needs no other file and no network; the same for the same adjustment.
+    Returns: the page, which needs no other file and no network; equal for equal adjustments.
 
-    Raises: TypeError for what is not an adjustment; ValueError for sensors that are not photographs.
+    Raises: TypeError for other objects; ValueError for sensors that are not photographs.
 
     Example:
-        Path("report.html").write_text(jb.report_html(jb.adjust(block)))
+        Path("report.html").write_text(jb.report.report_html(jb.adjust(block)))
     """
-    require_a(Adjustment, adjustment, "report_html")
-    require_photographs(adjustment.block, "report_html")
+    require_a(Adjustment, adjustment, "report.report_html")
+    require_photographs(adjustment.block, "report.report_html")
     with np.errstate(all="ignore"):
         figures = figures_of(adjustment, found)
         sections = [*(section() for section in sections_of(figures)), made_section(figures, made)]
@@ -55,7 +55,7 @@ def write_html(adjustment: Adjustment, path: str | Path, found: tuple[Finding, .
 
 
 def html_of(figures: Figures, sections: Sequence[Section]) -> str:
-    """The page of figures and their sections."""
+    """The HTML page of the numbers and sections of an adjustment."""
     structure, adjustment = figures.structure, figures.adjustment
     chapters = chapters_of(figures, sections)
     name = structure.name or "(unnamed)"
@@ -71,9 +71,9 @@ def html_of(figures: Figures, sections: Sequence[Section]) -> str:
 
 
 def whole_page(name: str, header: str, links: Sequence[str], body: Sequence[str]) -> str:
-    """A page with our style and script; `header`, `links` and `body` are markup already."""
+    """A page with our style and script; `header`, `links` and `body` are markup."""
     style, script = resource("page.css"), resource("page.js")
-    # nothing is loaded and nothing runs but the style and the script of this page, by their hashes (CSP level 2)
+    # only the style and the script of this page are allowed, by their hashes (CSP level 2)
     policy = (
         f"default-src 'none'; script-src '{_hash(script)}'; style-src '{_hash(style)}'; img-src data:;"
         " base-uri 'none'; form-action 'none'"

@@ -1,4 +1,4 @@
-"""Small pictures of many cells as PNG in the page itself, and the colour scale of their values."""
+"""Small pictures with many cells as PNG inside the page, and the colour scale of their values."""
 
 import base64
 import struct
@@ -7,7 +7,7 @@ import zlib
 import numpy as np
 from jaxtyping import Float, UInt8
 
-# viridis at 0, 1/8, ..., 1: even steps of lightness, and told apart by the colour-blind (van der Walt and Smith 2015)
+# viridis at 0, 1/8, ..., 1: even steps of lightness, suitable for colour-blind readers (van der Walt and Smith 2015)
 VIRIDIS = np.array(
     [
         (68, 1, 84),
@@ -22,7 +22,7 @@ VIRIDIS = np.array(
     ],
     float,
 )
-BLUE, MIDDLE, ORANGE = (0, 90, 156), (247, 247, 244), (196, 80, 11)  # of signed values
+BLUE, MIDDLE, ORANGE = (0, 90, 156), (247, 247, 244), (196, 80, 11)  # colours of signed values
 
 
 def viridis(share: Float[np.ndarray, "..."]) -> UInt8[np.ndarray, "... 3"]:
@@ -40,12 +40,12 @@ def signed(share: float) -> str:
 
 
 def hexadecimal(colour: tuple[int, ...]) -> str:
-    """A colour as pages write it."""
+    """A colour in the notation of HTML."""
     return "#" + "".join(f"{int(c):02x}" for c in colour)
 
 
 def png(pixels: UInt8[np.ndarray, "row column 4"]) -> str:
-    """An address that holds the picture itself; the first row is the uppermost one (PNG, ISO/IEC 15948)."""
+    """A data URL with the picture; the first row is at the top (PNG, ISO/IEC 15948)."""
     rows, columns = pixels.shape[:2]
     lines = np.concatenate([np.zeros((rows, 1), np.uint8), pixels.reshape(rows, -1)], 1)
     chunks = (

@@ -1,4 +1,4 @@
-"""Heights over the block: whether differences at control and check points have the form of a dome or a bowl."""
+"""Doming: whether differences in height at control and check points have the form of a dome or a bowl."""
 
 from typing import NamedTuple
 
@@ -6,12 +6,12 @@ import numpy as np
 from jaxtyping import Bool, Float
 
 from jaxbundle.report.figures import Figures
-from jaxbundle.report.pictures.vectors import check_vectors, control_vectors
+from jaxbundle.report.pictures.vector_pictures import check_vectors, control_vectors
 
 
 class Dome(NamedTuple):
-    """Differences in height over the distance from the middle of the stations, and dZ = level + curvature r^2 fitted
-    to them by least squares of equal weights; `sd`: of the curvature."""
+    """Differences in height over the distance from the centre of the stations, and a fitted curve. dZ = level +
+    curvature r^2 is fitted by least squares with equal weights; `sd`: of the curvature."""
 
     radius: Float[np.ndarray, " point"]
     difference: Float[np.ndarray, " point"]
@@ -22,7 +22,7 @@ class Dome(NamedTuple):
 
 
 def dome(figures: Figures) -> Dome | None:
-    """The fit; None for fewer than three differences, or points that are all equally far from the middle."""
+    """Fits the curve; None for fewer than three differences, or points at equal distances from the centre."""
     groups = control_vectors(figures), check_vectors(figures)
     position, d = (np.concatenate([getattr(g, name) for g in groups]) for name in ("position", "difference"))
     is_check = np.repeat([False, True], [len(g.names) for g in groups])

@@ -1,19 +1,19 @@
-"""What of an array can be drawn: finite numbers of a usable size."""
+"""Values of an array that can be drawn: finite numbers of a usable size."""
 
 import numpy as np
 from jaxtyping import Float
 
-LARGEST = 1e15  # beyond, differences of coordinates have no digit left in double precision
+LARGEST = 1e15  # above this, differences of coordinates have no correct digit in double precision
 
 
 def known(values: np.ndarray) -> Float[np.ndarray, "..."]:
-    """The values as floating-point numbers, NaN in place of what cannot be drawn."""
+    """The values as floating-point numbers, NaN for values that cannot be drawn."""
     values = np.asarray(values, float)
     return np.where(np.abs(np.nan_to_num(values, nan=np.inf)) < LARGEST, values, np.nan)
 
 
 def limits(values: np.ndarray, share: float = 0.04) -> tuple[float, float]:
-    """The smallest and the largest known value with a margin of that share; 0 and 1 where nothing is known."""
+    """Minimum and maximum of the known values with a margin; 0 and 1 where no value is known."""
     values = known(values)
     if not np.isfinite(values).any():
         return 0.0, 1.0
@@ -23,14 +23,14 @@ def limits(values: np.ndarray, share: float = 0.04) -> tuple[float, float]:
 
 
 def root_mean_square(values: np.ndarray) -> float:
-    """Root mean square of the known values; NaN without any."""
+    """Root mean square of the known values; NaN without known values."""
     values = known(values)
     count = int(np.isfinite(values).sum())
     return float(np.sqrt(np.nansum(values**2) / count)) if count else float("nan")
 
 
 def nice(length: float) -> float:
-    """The largest of 1, 2 and 5 times a power of ten that is not longer; 1 for what has no length."""
+    """The maximum round length (1, 2 or 5 times a power of ten) up to a given length; 1 for a length of 0."""
     if not (np.isfinite(length) and length > 0):
         return 1.0
     power = 10.0 ** np.floor(np.log10(length))

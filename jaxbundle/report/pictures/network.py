@@ -1,4 +1,4 @@
-"""Which images see the same points: the network that keeps a block together."""
+"""The network of a block: images that see the same points."""
 
 from typing import NamedTuple
 
@@ -8,17 +8,17 @@ from scipy.sparse import coo_array
 
 from jaxbundle.report.figures import Figures
 
-STRONGEST = 6  # connections of each image that a picture shows
-WEAK = 20  # common points below which a connection is called weak
+STRONGEST = 6  # number of connections of each image in a picture
+WEAK = 20  # connections with fewer common points are called weak
 
 
 class Connections(NamedTuple):
-    """Pairs of images, the strongest of each, and the number of points that both of them see."""
+    """The strongest pairs of each image, with the number of common points."""
 
     pairs: Int[np.ndarray, "pair 2"]
     common: Int[np.ndarray, " pair"]
     of_all: int
-    """Number of all pairs with a common point."""
+    """Number of all pairs with common points."""
 
 
 def connections(figures: Figures, strongest: int = STRONGEST) -> Connections:

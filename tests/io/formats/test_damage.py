@@ -14,11 +14,11 @@ from jaxbundle.block.problems import BlockError
 from jaxbundle.io.formats.assembled import assembled
 from jaxbundle.io.formats.colmap import read_colmap
 from jaxbundle.io.formats.foreign_block import DEFAULT
+from jaxbundle.io.formats.format_table import FORMATS, read_format, recognised
 from jaxbundle.io.formats.metashape import read_metashape
 from jaxbundle.io.formats.nvm import read_nvm
 from jaxbundle.io.formats.opensfm import read_opensfm
-from jaxbundle.io.formats.registry import FORMATS, read_format, recognised
-from jaxbundle.io.read import read
+from jaxbundle.io.reading import read
 
 
 def told(read_it, path: Path) -> str:
@@ -71,7 +71,7 @@ def test_wrong_numbers_of_binary_files(tmp_path, rig):
     words = told(read_colmap, put(tmp_path / "b", {**rig, "cameras.bin": panorama}))
     assert "camera 1 has the model EQUIRECTANGULAR; read are SIMPLE_PINHOLE" in words
     many = struct.pack("<Q", 2**60) + data[8:]
-    assert "more than the rest of the file holds" in told(
+    assert "more than the rest of the file can contain" in told(
         read_colmap, put(tmp_path / "c", {**rig, "cameras.bin": many})
     )
     nan = data[:32] + struct.pack("<d", np.nan) + data[40:]
@@ -95,7 +95,7 @@ def test_stale_poses_give_way_to_frames(tmp_path, rig):
     found = read_colmap(put(tmp_path / "model", {**rig, "images.bin": stale}))
     right = read_colmap(put(tmp_path / "right", rig))
     np.testing.assert_allclose(found.images.centre, right.images.centre, atol=1e-12)
-    assert "the poses of 1 images differ from those of their rigs and frames" in found.findings[0].words
+    assert "the poses of 1 images differ from the poses of their rigs and frames" in found.findings[0].words
 
 
 def test_empty_second_lines_and_names_with_blanks(tmp_path):
@@ -122,7 +122,7 @@ def test_opensfm_tells_places(tmp_path, shared_data):
     assert "reconstruction.json:2: this is not JSON" in told(read_opensfm, folder)
     (folder / "tracks.csv").unlink()
     shutil.copy(shared_data / "exchange" / "opensfm" / "reconstruction.json", folder)
-    assert "tracks.csv is missing beside reconstruction.json" in told(read_opensfm, folder)
+    assert "tracks.csv is missing in the folder of reconstruction.json" in told(read_opensfm, folder)
 
 
 def test_document_types_are_refused(tmp_path):
@@ -168,7 +168,7 @@ def test_several_formats_are_told(tmp_path, shared_data):
     folder = copied(shared_data, "bingo", tmp_path)
     for path in (shared_data / "exchange" / "patb").glob("sxb.*"):
         shutil.copy(path, folder)
-    with pytest.raises(BlockError, match="say which one with --format, one of: bingo, patb"):
+    with pytest.raises(BlockError, match="choose one with --format, one of: bingo, patb"):
         read(folder)
 
 

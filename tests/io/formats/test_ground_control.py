@@ -16,7 +16,7 @@ from jaxbundle.io.formats.coordinates import convergence, is_geographic, metric,
 from jaxbundle.io.formats.foreign_block import Known, triple
 from jaxbundle.io.formats.ground_control import read_control, read_positions, with_control
 from jaxbundle.io.formats.misfit import ray_residuals
-from jaxbundle.io.formats.photographs import positions_of_photographs, read_photograph
+from jaxbundle.io.formats.photograph_data import positions_of_photographs, read_photograph
 from jaxbundle.io.formats.rotations import to_angles
 
 
@@ -41,7 +41,7 @@ def test_rows_of_a_list(tmp_path):
     assert np.isnan(found.points[0].coordinates[2]) and found.points[1].sigmas == (0.02, 0.02, 0.03)
     assert len(found.rays) == 4
     (finding,) = found.findings
-    assert "point P1 has two places, 500010 5400000 70 and 500010 5400000 70.5; the first is used" in finding.words
+    assert "point P1 has two positions, 500010 5400000 70 and 500010 5400000 70.5; the first is used" in finding.words
     path.write_text("EPSG:32633\n500000 5400000 x 10 20 a.jpg\n1 2 3 4\n", encoding="utf-8")
     with pytest.raises(BlockError) as caught:
         read_control(path)
@@ -88,7 +88,7 @@ def test_control_brings_a_block_into_its_system(shared_data, tmp_path):
     np.testing.assert_allclose(block.exterior.projection_centre, expected, atol=1e-4)
     assert len(block.structure.point_names) == 65 and block.groups[0].count == 15
     words = " ".join(finding.words for finding in block.structure.findings)
-    assert "the block was brought into the system of 5 control points: scale 7.5, misfit" in words
+    assert "the block was transformed into the system of 5 control points: scale 7.5, misfit" in words
     assert "coordinate system: EPSG:32633" in block.structure.source
 
 
@@ -112,7 +112,7 @@ def test_control_that_does_not_fit_is_told(shared_data, tmp_path):
     block = read(folder, sources=Sources(control=tmp_path / "gcp_list.txt"), check_start=False)
     failed = [finding for finding in block.structure.findings if finding.severity is Severity.FAILED]
     assert failed and failed[0].kind is Kind.NOT_USED
-    assert "2 rays of control are on 1 images that the block does not have, such as nowhere.jpg" in failed[0].words
+    assert "2 rays of control are on 1 images that are not in the block, such as nowhere.jpg" in failed[0].words
     with pytest.raises(BlockError, match="tables beside it are not read; put control.csv and stations.csv into"):
         read(shared_data / "strasbourg-s4-tie", sources=Sources(control=tmp_path / "gcp_list.txt"))
 
@@ -192,7 +192,7 @@ def test_a_photograph_tells_its_position(shared_data, tmp_path):
     (tmp_path / "b.jpg").write_bytes(b"\xff\xd8\xff\xd9")
     positions = positions_of_photographs(tmp_path)
     assert len(positions.stations) == 1 and len(positions.attitudes) == 1
-    assert "1 of 2 photographs tell no position" in positions.findings[0].words
+    assert "1 of 2 photographs have no position" in positions.findings[0].words
 
 
 def test_a_missing_package_is_told_with_its_extra(monkeypatch):

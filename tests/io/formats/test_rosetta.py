@@ -11,10 +11,10 @@ from jaxbundle.io.formats.assembled import assembled
 from jaxbundle.io.formats.collected import transposed
 from jaxbundle.io.formats.colmap import read_colmap
 from jaxbundle.io.formats.decided import decided
+from jaxbundle.io.formats.format_table import read_format, recognised
 from jaxbundle.io.formats.micmac import read_micmac
 from jaxbundle.io.formats.misfit import misfits, ray_residuals
 from jaxbundle.io.formats.opensfm import read_opensfm
-from jaxbundle.io.formats.registry import read_format, recognised
 from jaxbundle.io.formats.rotations import to_angles
 
 RMS = {  # px, tie rays and rays of control points, as the files that were written tell

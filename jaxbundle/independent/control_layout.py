@@ -1,0 +1,106 @@
+"""Whether the control of a strip suffices for its polynomials, before the adjustment and by name.
+
+Polynomials of degree n need n + 1 bands of control across the strip, from its begin to its end, and in each band a
+point near either edge, for the torsion of the strip. Two points that tie an edge to another strip stand for a control
+point there; an observed projection centre in a band stands for one of its edges.
+"""
+
+from typing import NamedTuple
+
+import numpy as np
+from jaxtyping import Bool, Float
+
+from jaxbundle.block.block import Block
+from jaxbundle.block.findings import Finding, Kind, Subject
+from jaxbundle.block.observation_kinds import CONTROL
+from jaxbundle.block.wording import figure
+
+EDGE = 0.3  # of half of the width: beyond, a point lies near the edge
+PLAN = 7  # digits of a plan coordinate: metres of a national system
+TIES = 2  # points that tie an edge to another strip
+BANDS = {
+    3: ("at its begin", "in its middle", "at its end"),
+    4: ("at its begin", "in its second", "in its third", "at its end"),
+}
+
+
+class Supported(NamedTuple):
+    """What supports a strip: points, their places over half of the length and of the width, what they are."""
+
+    along: Float[np.ndarray, " point"]
+    across: Float[np.ndarray, " point"]
+    control: Bool[np.ndarray, " point"]
+    """Control in X, Y and Z."""
+    tie: Bool[np.ndarray, " point"]
+    """Seen by another strip too."""
+    stations: Float[np.ndarray, " image"]
+    """Places along the strip of observed projection centres."""
+    names: tuple[str, ...] = ()
+    """Of the points; empty where none is to be named."""
+    plan: Float[np.ndarray, "point 2"] = np.zeros((0, 2))
+    """X and Y of the points."""
+
+
+def full_control(block: Block) -> Bool[np.ndarray, " point"]:
+    """Points whose three coordinates are fixed or observed."""
+    known = np.array(~block.structure.point_free)
+    for group in block.groups:
+        if group.structure.kind == CONTROL:
+            known[group.structure.indices[:, 0]] |= group.structure.observed
+    return np.asarray(known.all(1))
+
+
+def observed_stations(block: Block) -> Bool[np.ndarray, " image"]:
+    """Images whose projection centre is observed or fixed."""
+    known = np.array((~block.structure.exterior_free[:, :3]).all(1))
+    for group in block.groups:
+        kind = group.structure.kind
+        if kind.table == "stations" and kind.touches[0] == "image":
+            known[group.structure.indices[:, 0]] |= group.structure.observed.all(1)
+    return known
+
+
+def missing_control(name: str, s: Supported, bands: int, images: tuple[str, ...] = ()) -> list[Finding]:
+    """The bands and edges of a strip that nothing supports. `images`: those at its ends."""
+    limits = np.linspace(-1, 1, bands + 1)
+    limits[0], limits[-1] = -np.inf, np.inf
+    found = []
+    for k, where in enumerate(BANDS[bands]):
+        inside = (s.along >= limits[k]) & (s.along < limits[k + 1])
+        here = ((s.stations >= limits[k]) & (s.stations < limits[k + 1])).any()
+        edges = {"left": s.across > EDGE, "right": s.across < -EDGE}
+        open_edges = [
+            edge
+            for edge, mask in edges.items()
+            if not (s.control & inside & mask).any() and (s.tie & inside & mask).sum() < TIES
+        ]
+        if not open_edges or (here and len(open_edges) == 1):
+            continue
+        edge = "on both edges" if len(open_edges) == 2 else f"on the {open_edges[0]} edge"
+        begin, end = 100 * k / bands, 100 * (k + 1) / bands
+        band = where if bands == 3 or k in (0, 3) else f"{where} quarter"
+        what = (
+            f"{name} has no control {edge} {band} (from {begin:.0f} to {end:.0f} % of its length), which polynomials of"
+        )
+        what += f" degree {bands - 1} need"
+        middle = (2 * k + 1) / bands - 1
+        examples = [text for edge in open_edges for text in _example(s, inside & edges[edge], middle)]
+        such = f", such as {' and '.join(examples)}" if examples else ""
+        cure = f"add points with X, Y, Z there{such}, or adjust by models"
+        found.append(Finding(Kind.WEAK, what, cure, tuple(Subject("images", (image,)) for image in images)))
+    return found
+
+
+def _example(s: Supported, there: Bool[np.ndarray, " point"], middle: float) -> list[str]:
+    """The measured point that is nearest to the middle of a band, with its plan coordinates."""
+    if not s.names or not there.any():
+        return []
+    nearest = np.flatnonzero(there)[np.argmin(np.abs(s.along[there] - middle))]
+    return [f"{s.names[nearest]} near {figure(s.plan[nearest, 0], PLAN)}, {figure(s.plan[nearest, 1], PLAN)}"]
+
+
+def swinging(name: str, terms: list[str], end: float, unit: str, images: tuple[str, ...] = ()) -> Finding:
+    """Coefficients that nothing but their curb determines. `end`: the expected error; `images`: those at the ends."""
+    what = f"{name}: {', '.join(terms)} are determined by the expected errors of the strip rather than by control"
+    cure = f"add control inside the strip; there its points may be wrong by {figure(end, 2)} {unit}"
+    return Finding(Kind.WEAK, what, cure, tuple(Subject("images", (image,)) for image in images), end, unit)

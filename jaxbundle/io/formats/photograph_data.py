@@ -1,0 +1,173 @@
+"""Approximate values from EXIF and XMP of drones and cameras: position, attitude and principal distance.
+
+Position: GPSLatitude, GPSLongitude, GPSAltitude of EXIF, else the packet of DJI. Attitude: the gimbal's yaw, pitch and
+roll (attitudes.py). f in px = f35 / 43.27 sqrt(W^2 + H^2) of the focal length for 35 mm film, an
+approximate value. Heights of drones without RTK are barometric: their standard deviation is 30 m. A missing hemisphere
+is north and east.
+"""
+
+import re
+from pathlib import Path
+from typing import Any, NamedTuple
+
+import numpy as np
+from jaxtyping import Float
+
+from jaxbundle.block.findings import Finding, Kind, Severity
+from jaxbundle.block.problems import BlockError, Problem, shown
+from jaxbundle.io.formats.attitudes import rotations_of_gimbal
+from jaxbundle.io.formats.extras import extra
+from jaxbundle.io.formats.foreign_block import Known
+from jaxbundle.io.formats.ground_control import STATION_SIGMA, Positions
+from jaxbundle.io.text_files import UnreadableError, file_bytes
+
+SUFFIXES = (".jpg", ".jpeg", ".tif", ".tiff")
+DIAGONAL_35 = 43.27  # mm, of the format of 35 mm film
+HEAD = 262_144  # bytes that contain EXIF and XMP
+NUMBER = r"[+-]?\d+(?:\.\d*)?(?:[eE][+-]?\d+)?"
+XMP = {
+    "yaw": ("drone-dji:GimbalYawDegree", "Camera:Yaw"),
+    "pitch": ("drone-dji:GimbalPitchDegree", "Camera:Pitch"),
+    "roll": ("drone-dji:GimbalRollDegree", "Camera:Roll"),
+    "latitude": ("drone-dji:Latitude", "drone-dji:GpsLatitude"),
+    "longitude": ("drone-dji:Longitude", "drone-dji:GpsLongitude", "drone-dji:GpsLongtitude"),
+    "altitude": ("drone-dji:AbsoluteAltitude",),
+    "s_latitude": ("drone-dji:RtkStdLat",),
+    "s_longitude": ("drone-dji:RtkStdLon",),
+    "s_height": ("drone-dji:RtkStdHgt",),
+    "s_plan": ("Camera:GPSXYAccuracy",),
+    "s_altitude": ("Camera:GPSZAccuracy",),
+}
+
+
+class Photograph(NamedTuple):
+    """Metadata of a photograph; NaN where missing."""
+
+    name: str
+    width: int | None
+    height: int | None
+    focal_length: float
+    """Principal distance in px, approximate."""
+    position: tuple[float, float, float]
+    """Longitude, latitude in degrees on WGS 84, altitude in m as in the metadata."""
+    sigmas: tuple[float, float, float]
+    """Standard deviations in m: plan, plan, height."""
+    gimbal: tuple[float, float, float]
+    """Yaw from true north, pitch, roll in degrees."""
+
+    @property
+    def rotation(self) -> Float[np.ndarray, "3 3"]:
+        """Rotation object_from_image in a system east, north, up at the position of the photograph."""
+        return rotations_of_gimbal(np.array([self.gimbal]))[0]
+
+
+def read_photograph(path: Path) -> Photograph:
+    """Reads EXIF and XMP of a photograph.
+
+    Raises: BlockError where the file cannot be read or exifread is not installed.
+
+    Example: omega, phi, kappa of a photograph straight down, its top to the north, are 0.
+    """
+    exifread = extra("exifread", "reading EXIF of photographs")
+    try:
+        head = file_bytes(path, HEAD)
+        with path.open("rb") as file:
+            tags = exifread.process_file(file, details=False)
+    except UnreadableError as error:
+        raise BlockError([Problem(f"{path.name} {error.what}", error.cure)]) from error
+    except Exception as error:  # exifread raises any exception for a damaged file
+        what = f"the EXIF of {path.name} cannot be read: {shown(str(error))}"
+        raise BlockError([Problem(what, "copy the photograph from the camera again")]) from error
+    packet = _packet(head)
+    width, height = (_whole(tags, f"EXIF ExifImage{side}") for side in ("Width", "Length"))
+    f35 = _first(tags, "EXIF FocalLengthIn35mmFilm")
+    f = f35 / DIAGONAL_35 * float(np.hypot(width, height)) if width and height and f35 > 0 else np.nan
+    position = _position(tags, packet)
+    drawn = (packet["s_latitude"], packet["s_longitude"], packet["s_height"])
+    if not all(0 < value < np.inf for value in drawn):
+        plan, vertical = packet["s_plan"], packet["s_altitude"]
+        plan = plan if plan > 0 else STATION_SIGMA[0]
+        drawn = (plan, plan, vertical if vertical > 0 else STATION_SIGMA[1])
+    gimbal = (packet["yaw"], packet["pitch"], packet["roll"])
+    return Photograph(path.name, width, height, f, position, drawn, gimbal)
+
+
+def _packet(head: bytes) -> dict[str, float]:
+    """Numbers of an XMP packet, as attributes or elements; NaN where missing."""
+    begin, end = head.find(b"<x:xmpmeta"), head.find(b"</x:xmpmeta")
+    text = head[begin:end].decode("utf-8", "replace") if 0 <= begin < end else ""
+    found = {}
+    for key, names in XMP.items():
+        found[key] = np.nan
+        for name in names:
+            match = re.search(rf'{name}\s*(?:=\s*["\']|>)\s*({NUMBER})', text)
+            if match:
+                found[key] = float(match[1])
+                break
+    return found
+
+
+def _ratios(tags: Any, name: str) -> list[float]:
+    """The numbers of one tag."""
+    values = getattr(tags.get(name), "values", None) or []
+    found = []
+    for value in values if isinstance(values, list) else [values]:
+        try:
+            found.append(float(value))
+        except (TypeError, ValueError, ZeroDivisionError):
+            found.append(np.nan)
+    return found
+
+
+def _first(tags: Any, name: str) -> float:
+    return next(iter(_ratios(tags, name)), np.nan)
+
+
+def _whole(tags: Any, name: str) -> int | None:
+    value = _first(tags, name)
+    return int(value) if 1 <= value < 1e8 else None
+
+
+def _degrees(tags: Any, name: str, negative: str) -> float:
+    parts = _ratios(tags, name)
+    if len(parts) != 3:
+        return np.nan
+    value = parts[0] + parts[1] / 60 + parts[2] / 3600
+    return -value if str(tags.get(f"{name}Ref", "")).strip().upper().startswith(negative) else value
+
+
+def _position(tags: Any, packet: dict[str, float]) -> tuple[float, float, float]:
+    latitude, longitude = _degrees(tags, "GPS GPSLatitude", "S"), _degrees(tags, "GPS GPSLongitude", "W")
+    if np.isfinite(packet["latitude"]) and np.isfinite(packet["longitude"]) and not np.isfinite(latitude):
+        latitude, longitude = packet["latitude"], packet["longitude"]
+    altitude = _first(tags, "GPS GPSAltitude")
+    below = _first(tags, "GPS GPSAltitudeRef") == 1
+    altitude = -altitude if below else altitude
+    altitude = altitude if np.isfinite(altitude) else packet["altitude"]
+    if latitude == 0 and longitude == 0 or not (abs(latitude) <= 90 and abs(longitude) <= 180):
+        return np.nan, np.nan, np.nan
+    return longitude, latitude, altitude
+
+
+def positions_of_photographs(folder: Path) -> Positions:
+    """Reads the positions of all photographs in a folder, as stations in longitude and latitude.
+
+    Raises: BlockError where the folder has no photographs with positions, or exifread is not installed.
+    """
+    files = [file for file in sorted(folder.iterdir()) if file.suffix.lower() in SUFFIXES]
+    found = [read_photograph(file) for file in files]
+    known = [one for one in found if np.isfinite(one.position[:2]).all()]
+    if not known:
+        what = f"{folder} has {len(files)} photographs, and none has a position"
+        raise BlockError([Problem(what, "give a folder with original photographs of the camera, or a geo.txt")])
+    findings = []
+    if len(known) < len(found):
+        what = f"{len(found) - len(known)} of {len(found)} photographs have no position"
+        findings.append(Finding(Kind.UNUSED, what, grade=Severity.NOTE))
+    plan, height = (max(one.sigmas[k] for one in known) for k in (0, 2))
+    words = f"positions of photographs have standard deviations of up to {plan:g} m in plan and {height:g} m in height"
+    findings.append(Finding(Kind.INFORMATION, f"{words}; the reference of the altitudes is unknown"))
+    stations = tuple(Known(one.name, one.position, one.sigmas) for one in known)
+    nothing = (np.nan, np.nan, np.nan)
+    attitudes = tuple(Known(one.name, one.gimbal, nothing) for one in known if np.isfinite(one.gimbal).all())
+    return Positions(stations, attitudes, "EPSG:4326", tuple(findings))

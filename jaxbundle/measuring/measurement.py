@@ -1,0 +1,131 @@
+"""From photographs to a block folder: pyramids, interest points, verified pairs, tracks, rays by matching."""
+
+from collections.abc import Callable, Mapping, Sequence
+from pathlib import Path
+from typing import NamedTuple
+
+import numpy as np
+from jaxtyping import Float
+from scipy.sparse import coo_array
+from scipy.sparse.csgraph import connected_components
+
+from jaxbundle.block.findings import Finding, Kind, Subject
+from jaxbundle.block.problems import Problem
+from jaxbundle.geometry.topocentric import topocentric
+from jaxbundle.imagery.exif import Station
+from jaxbundle.imagery.image_problems import ImageError
+from jaxbundle.imagery.interest_points import NUMBER, empty_places, kept_features
+from jaxbundle.imagery.tracks import tracks
+from jaxbundle.imagery.windows import GreyImages
+from jaxbundle.measuring.measured_folder import write_measured
+from jaxbundle.measuring.measured_rays import MeasuredRays, measured_rays
+from jaxbundle.measuring.photo_set import CameraGiven, PhotoSet, photo_set
+from jaxbundle.measuring.verify import View, verified_pairs
+
+MIN_RAYS = 12  # of an image: fewer leave places of von Gruber empty
+Told = Callable[[str], None]
+
+
+class MeasureOptions(NamedTuple):
+    """How photographs are measured."""
+
+    level: int = 1
+    """Level of the pyramids on which points are found."""
+    number: int = NUMBER
+    """Largest number of points found in an image."""
+    camera: CameraGiven = CameraGiven()
+    station_sigmas: tuple[float, float] = (3.0, 6.0)
+    """m, horizontal and vertical: a receiver without corrections."""
+    pyramids: Path | None = None
+    """Folder of the pyramids; beside the photographs if it is not given."""
+
+
+class Measured(NamedTuple):
+    """What was measured."""
+
+    photos: PhotoSet
+    rays: MeasuredRays
+    stations: Float[np.ndarray, "image 3"]
+    """East, north, up in m from the mean of all stations; NaN where an image has none."""
+    findings: tuple[Finding, ...]
+
+
+def measure(
+    paths: Sequence[str | Path],
+    out: str | Path | None = None,
+    options: MeasureOptions = MeasureOptions(),  # noqa: B008  an immutable tuple
+    *,
+    positions: Mapping[str, Station] | None = None,
+    tell: Told = lambda what: None,
+) -> Measured:
+    """Tie points of photographs from nothing, and the block folder they make.
+
+    Args:
+        paths: image files of one project.
+        out: the block folder that is written; none if it is not given.
+        options: levels, numbers, cameras, accuracy of the stations.
+        positions: stations by the names of the images, in place of those of the EXIF data.
+        tell: is called with what is being done.
+
+    Returns: photographs, rays with standard deviations, stations, and what was found.
+
+    Raises: ImageError for photographs that cannot be used, or that have no points in common.
+
+    Example:
+        >>> jb.measuring.measure(sorted(Path("photos").glob("*.jpg")), "block")  # doctest: +SKIP
+    """
+    tell("image pyramids")
+    photos = photo_set([Path(path) for path in paths], options.pyramids, options.camera, positions)
+    stations = _stations(photos)
+    views = []
+    for photo in photos.photos:
+        tell(f"interest points of {photo.name}")
+        own = kept_features(photo.pyramid, options.level, options.number)
+        rows, columns = photo.pyramid.sizes[0]
+        interior = np.array([photos.principal_distances[photo.camera], columns / 2, rows / 2, 1.0, -1.0])
+        station = stations[len(views)]
+        views.append(View(own, interior, station if np.isfinite(station).all() else None))
+    pairs = verified_pairs(views, 2.0**options.level, lambda k, n: tell(f"pair {k} of {n}"))
+    if not pairs:
+        raise ImageError([Problem("no two images have points in common", "give images that overlap by half or more")])
+    positions_of_features = [view.features.xy for view in views]
+    found = tracks([len(xy) for xy in positions_of_features], pairs)
+    tell(f"matching {len(found.image)} rays of {int(found.point.max(initial=-1)) + 1} points")
+    greys = GreyImages({k: photo.pyramid for k, photo in enumerate(photos.photos)})
+    rays = measured_rays(greys, found, positions_of_features, options.level)
+    measured = Measured(photos, rays, stations, (*photos.findings, *_judged(photos, rays)))
+    if out is not None:
+        write_measured(Path(out), photos, rays, stations, options.station_sigmas)
+    return measured
+
+
+def _stations(photos: PhotoSet) -> Float[np.ndarray, "image 3"]:
+    given = np.array([photo.exif.station or (np.nan,) * 3 for photo in photos.photos])
+    if not np.isfinite(given).all(1).any():
+        return given
+    origin = np.nanmean(given, 0)
+    origin[2] = 0.0  # heights stay those of the receiver
+    return topocentric(given, origin)
+
+
+def _judged(photos: PhotoSet, rays: MeasuredRays) -> list[Finding]:
+    """Images without rays or in parts of their own, and empty places of von Gruber."""
+    count, found = len(photos.photos), []
+    number = np.bincount(rays.image, minlength=count)
+    for k, photo in enumerate(photos.photos):
+        subject, (rows, columns) = (Subject("images", (photo.name,)),), photo.pyramid.sizes[0]
+        if number[k] < MIN_RAYS:
+            what = f"image {photo.name} has {number[k]} rays"
+            found.append(Finding(Kind.PARTS, what, "give images that overlap it, or leave it out", subject))
+            continue
+        empty = empty_places(rays.xy[rays.image == k], rows, columns)
+        if empty:
+            what = f"image {photo.name} has no point in {empty} of its 9 places of von Gruber"
+            found.append(Finding(Kind.UNCONTROLLED, what, "look for water, shadow or a missing neighbour", subject))
+    size = count + int(rays.point.max(initial=-1)) + 1
+    graph = coo_array((np.ones(len(rays.image)), (rays.image, count + rays.point)), (size, size))
+    part = connected_components(graph, directed=False)[1][:count][number > 0]
+    if len(np.unique(part)) > 1:
+        what = f"the images fall into {len(np.unique(part))} parts without common points"
+        found.append(Finding(Kind.PARTS, what, "give the images between them, or adjust the parts one by one"))
+    return found

@@ -1,0 +1,31 @@
+"""Names of a module that are loaded when they are first used, as the stub beside it lists them.
+
+    __getattr__, __dir__, __all__ = lazy_names(__name__, __file__)
+
+The stub, a file with the suffix .pyi, is the only list: type checkers and editors read it, and so does this function.
+Each name stands in it as `from MODULE import NAME as NAME`. A module inside of a package that has the name of a
+function of the package would hide the function once it is imported; a test forbids that.
+"""
+
+import ast
+import importlib
+from collections.abc import Callable
+from pathlib import Path
+from typing import Any
+
+
+def lazy_names(module: str, file: str) -> tuple[Callable[[str], Any], Callable[[], list[str]], list[str]]:
+    """`__getattr__`, `__dir__` and `__all__` of a module, from the stub beside its file."""
+    stub = ast.parse(Path(file).with_suffix(".pyi").read_text(encoding="utf-8")).body
+    lines = [node for node in stub if isinstance(node, ast.ImportFrom)]
+    homes = {alias.name: node.module or "" for node in lines for alias in node.names}
+    values = [node.target.id for node in stub if isinstance(node, ast.AnnAssign) and isinstance(node.target, ast.Name)]
+
+    def get(name: str) -> Any:
+        if name not in homes:
+            raise AttributeError(f"module {module!r} has no attribute {name!r}")
+        if homes[name] == module:  # a module inside of this package
+            return importlib.import_module(f"{module}.{name}")
+        return getattr(importlib.import_module(homes[name]), name)
+
+    return get, lambda: sorted((*homes, *values)), sorted(homes)

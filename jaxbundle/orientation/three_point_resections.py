@@ -1,0 +1,101 @@
+"""The orientation of one image from three points: all solutions, and how far they can be trusted."""
+
+import equinox as eqx
+import jax
+import jax.numpy as jnp
+import numpy as np
+from jaxtyping import Array, ArrayLike, Bool, Float
+
+from jaxbundle.geometry.vectors import Vector
+from jaxbundle.numerics.float64 import require_float64
+from jaxbundle.orientation.three_points import Triple, three_point_solutions
+
+ON_A_LINE = 1e-3  # area of the triangle over the square of its longest side
+ON_CYLINDER = 1e-2  # determinant: below, an error of a direction is enlarged more than 100 times
+
+
+class ThreePointResection(eqx.Module):
+    """Up to four solutions, the solutions first; NaN where there is none."""
+
+    rotation: Float[Array, "*image 4 3 3"]
+    """Rotation matrices object_from_image."""
+    projection_centre: Float[Array, "*image 4 3"]
+    """Unit of the object points."""
+    distances: Float[Array, "*image 4 3"]
+    """From the projection centre to each of the points."""
+    determinant: Float[Array, "*image 4"]
+    """Volume between -1 and 1 that the rows of the linearised law of cosines span; 0 on the danger cylinder."""
+    exact: Bool[Array, "*image 4"]
+    """Whether it is a solution. Other numbers are real parts of a complex pair, near the danger cylinder."""
+    flatness: Float[Array, "*image"]
+    """Area of the triangle over the square of its longest side; 0 for points on a line."""
+
+    @property
+    def count(self) -> Array:
+        """Number of solutions."""
+        return self.exact.sum(-1)
+
+    @property
+    def words(self) -> str:
+        """What is wrong with the solutions of one image (concrete results only), and the cure; empty if nothing is."""
+        if self.flatness < ON_A_LINE:
+            return "the three points lie on a line and do not determine the image; choose points of a larger triangle"
+        weak = np.abs(self.determinant) < ON_CYLINDER
+        if (weak & np.asarray(self.exact)).any() or (not self.exact.any() and np.isfinite(self.determinant).any()):
+            return (
+                "the projection centre lies near the danger cylinder through the three points, where two solutions"
+                " coincide and are not accurate; choose other points"
+            )
+        return "" if self.exact.any() else "no projection centre sees the three points like this; check their names"
+
+
+def three_point_resection(
+    object_points: Float[ArrayLike, "3 3"], directions: Float[ArrayLike, "3 3"]
+) -> ThreePointResection:
+    """All orientations of an image that sees three points in given directions.
+
+    Args:
+        object_points: X, Y, Z of the points, one row per point.
+        directions: rays in the system of the photograph, one row per point, such as (x, y, -c); of any length.
+
+    Returns: up to four solutions. jit and vmap go through it.
+
+    Raises: ValueError for other shapes, or without float64.
+
+    Example:
+        >>> import jaxbundle as jb
+        >>> points = [[0, 0, 0], [100, 0, 0], [0, 100, 5]]
+        >>> found = jb.orientation.three_point_resection(points, [[-30, -40, -200], [70, -40, -200], [-30, 60, -195]])
+        >>> found.projection_centre[found.exact]
+    """
+    require_float64()
+    if np.shape(object_points) != (3, 3) or np.shape(directions) != (3, 3):
+        raise ValueError(
+            f"object points of shape {np.shape(object_points)} and directions of shape {np.shape(directions)}; give"
+            " three coordinates for each of three points"
+        )
+    return _resection(jnp.asarray(object_points, float), jnp.asarray(directions, float))
+
+
+@jax.jit
+def _resection(points: Float[Array, "3 3"], directions: Float[Array, "3 3"]) -> ThreePointResection:
+    directions = directions / jnp.linalg.norm(directions, axis=1, keepdims=True)
+    origin = points.mean(0)  # large coordinates lose digits
+    found = three_point_solutions(_triple(points - origin), _triple(directions), jnp.zeros((), int))
+    sides = points - jnp.roll(points, 1, 0)
+    area = 0.5 * jnp.linalg.norm(jnp.cross(sides[0], sides[1]))
+    return ThreePointResection(
+        jnp.stack(found.rotation, -1).reshape(4, 3, 3),
+        jnp.stack(found.centre, -1) + origin,
+        jnp.stack(found.distances, -1),
+        jnp.asarray(found.determinant),
+        found.exact,
+        area / jnp.max(jnp.sum(sides * sides, 1)),
+    )
+
+
+def _triple(rows: Float[Array, "3 3"]) -> Triple:
+    def vector(row: Array) -> Vector:
+        return row[0], row[1], row[2]
+
+    return vector(rows[0]), vector(rows[1]), vector(rows[2])

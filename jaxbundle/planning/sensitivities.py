@@ -1,0 +1,141 @@
+"""Which observation moves an adjusted coordinate, and by how much: one reverse pass through the adjustment.
+
+    dx / d(every measured value, control coordinate, calibration value)
+
+by the implicit function theorem at the minimum, with all second derivatives: exact, not the linear model of the last
+iteration. The square sum of derivative times sigma over all observations is the variance of x.
+"""
+
+from collections.abc import Callable
+from typing import NamedTuple
+
+import jax
+import jax.numpy as jnp
+import numpy as np
+from jaxtyping import Array
+
+from jaxbundle.block.block import Block
+from jaxbundle.block.datum import with_datum
+from jaxbundle.block.findings import Subject
+from jaxbundle.block.given import require_a
+from jaxbundle.numerics.compilation import QUICKLY, RAYS_FOR_OPTIMISATION
+from jaxbundle.solve.adjust import adjust
+
+
+class Effect(NamedTuple):
+    """How one value moves the function."""
+
+    subject: Subject
+    """Table, names and component: ("rays", ("image", "point"), "x"), ("cameras", ("scan",), "principal_distance")."""
+    derivative: float
+    """Unit of the function per unit of the value; radians for angles."""
+    unit: str
+    """Of the value."""
+    sigma: float
+    """Of the value; 0 for what is held."""
+
+    @property
+    def effect(self) -> float:
+        """Change of the function by an error of one sigma; 0 for what is held."""
+        return self.derivative * self.sigma
+
+
+class Sensitivity(NamedTuple):
+    """The effects of everything that was given, the largest first."""
+
+    value: float
+    effects: tuple[Effect, ...]
+    """Observations, by the effect of one sigma."""
+    held: tuple[Effect, ...]
+    """Fixed control coordinates and held interior elements, by their derivative."""
+
+    @property
+    def standard_deviation(self) -> float:
+        """Of the function, a priori: the square root of the sum of squared effects."""
+        return float(np.sqrt(sum(e.effect**2 for e in self.effects)))
+
+
+def sensitivity(block: Block, function: Callable[[Block], Array]) -> Sensitivity:
+    """Derivatives of a function of the adjusted block with respect to all that the adjustment was given.
+
+    Args:
+        block: the block; it is adjusted.
+        function: of the adjusted block, one number, such as `lambda b: b.object_points[350, 2]`.
+
+    Returns: observations and held values with their derivatives. Those of a function that does not depend on the block,
+    or of an adjustment that has not converged, are 0 or NaN.
+
+    Raises: TypeError for what is not a Block; ValueError for a function of more than one number.
+    """
+    require_a(Block, block, "planning.sensitivity")
+    block = with_datum(block)
+    shape = jax.eval_shape(lambda b: jnp.asarray(function(b)), block).shape
+    if shape != ():
+        raise ValueError(f"the function gives an array of shape {shape}; give one number, such as one coordinate")
+
+    def adjusted(block: Block) -> Array:
+        return jnp.asarray(function(adjust(block, precision=False).block))
+
+    options = QUICKLY if len(block.structure.ray_image) < RAYS_FOR_OPTIMISATION else {}
+    value, derivatives = jax.jit(jax.value_and_grad(adjusted), compiler_options=options)(block)
+    observed = [*_rays(block, derivatives), *_groups(block, derivatives)]
+    observed.sort(key=lambda e: -abs(e.effect))
+    held = [*_fixed_points(block, derivatives), *_interior(block, derivatives)]
+    held.sort(key=lambda e: -abs(e.derivative))
+    return Sensitivity(float(value), tuple(observed), tuple(held))
+
+
+def _rays(block: Block, derivatives: Block) -> list[Effect]:
+    s = block.structure
+    unit = s.cameras[0].image_unit
+    numbers, sigmas = np.asarray(derivatives.rays.coordinates), np.asarray(block.rays.sigmas)
+    axes = ("x", "y") if numbers.shape[1] == 2 else tuple(str(k + 1) for k in range(numbers.shape[1]))
+    return [
+        Effect(Subject("rays", (s.image_names[image], s.point_names[point]), axis), float(d), unit, float(sigma))
+        for image, point, row, of_row in zip(s.ray_image, s.ray_point, numbers, sigmas, strict=True)
+        for axis, d, sigma in zip(axes, row, of_row, strict=False)
+        if d != 0
+    ]
+
+
+def _groups(block: Block, derivatives: Block) -> list[Effect]:
+    s = block.structure
+    names = {
+        "point": s.point_names,
+        "image": s.image_names,
+        "camera": tuple(camera.name for camera in s.cameras),
+    }
+    found = []
+    for group, derivative in zip(block.groups, derivatives.groups, strict=True):
+        kind = group.structure.kind
+        unit = "rad" if kind.angles else s.object_unit
+        values, sigmas = np.asarray(derivative.values), np.asarray(group.sigmas)
+        for member, row in enumerate(group.structure.indices.tolist()):
+            who = tuple(names[t][k] for t, k in zip(kind.touches, row, strict=True) if t in names)
+            if not who:
+                who = tuple(s.parameters[k].name for k in row)
+            for c, component in enumerate(kind.components):
+                if group.structure.observed[member, c]:
+                    subject = Subject(kind.table, who, component)
+                    found.append(Effect(subject, float(values[member, c]), unit, float(sigmas[member, c])))
+    return found
+
+
+def _fixed_points(block: Block, derivatives: Block) -> list[Effect]:
+    s, numbers = block.structure, np.asarray(derivatives.object_points)
+    return [
+        Effect(
+            Subject("control", (s.point_names[point],), "XYZ"[axis]), float(numbers[point, axis]), s.object_unit, 0.0
+        )
+        for point, axis in np.argwhere(~s.point_free).tolist()
+    ]
+
+
+def _interior(block: Block, derivatives: Block) -> list[Effect]:
+    s, numbers = block.structure, np.asarray(derivatives.interior.elements)
+    return [
+        Effect(Subject("cameras", (camera.name,), element), float(numbers[c, k]), camera.unit_of(element), 0.0)
+        for c, camera in enumerate(s.cameras)
+        for k, element in enumerate(camera.model.elements)
+        if not s.interior_free[c, k] and element not in ("pixel_size", "y_axis", "grid_base")
+    ]

@@ -1,0 +1,244 @@
+"""Stopping rules, by name. The textbook (166) names three; the fourth is modern practice and the default.
+
+angle      |J d| <= tolerance |v|: the angle between the residuals and the tangent plane. Free of units
+points     the largest change of a coordinate of an object point < delta
+parallax   the largest remaining y-parallax of the stereo pairs no longer falls by more than delta
+unknown    the largest change of the named unknowns < delta, each in its own unit
+"""
+
+import abc
+from typing import ClassVar, NamedTuple
+
+import equinox as eqx
+import jax.numpy as jnp
+import numpy as np
+from jaxtyping import Array, Bool, Float, Int
+
+from jaxbundle.block.block import Block, Structure
+from jaxbundle.block.given import require_a, require_photographs
+from jaxbundle.block.residuals import Observations, observations_of, ray_residuals
+from jaxbundle.block.unknowns import Unknowns
+from jaxbundle.camera.collinearity import central_projection, photo_vector
+from jaxbundle.geometry import rotation
+from jaxbundle.normals.plan.elimination_plan import Order
+
+
+class StepTaken(NamedTuple):
+    """What a rule may look at: the unknowns before and after an accepted step, and (|J d| / |v|)^2.
+
+    J d is taken as what the step changed v by, which it is near the minimum.
+    """
+
+    before: Unknowns
+    after: Unknowns
+    angle_squared: Float[Array, ""]
+    observations: Observations
+
+
+class AbstractStoppingRule(eqx.Module):
+    """A rule measures an accepted step; the solve ends where the measure falls to the limit or below.
+
+    A rule belongs to no block. What it needs of one, such as who sees what, `of` puts in before a solve.
+    """
+
+    name: ClassVar[str]
+    limit: eqx.AbstractVar[float]
+
+    def of(self, block: Block) -> "AbstractStoppingRule":
+        """The rule for one block, with what it needs of it."""
+        return self
+
+    @abc.abstractmethod
+    def measure(self, step: StepTaken) -> Float[Array, ""]:
+        """The number that is held against the limit."""
+
+    def arranged(self, order: Order) -> "AbstractStoppingRule":
+        """The rule for unknowns in another order than the block's."""
+        return self
+
+
+class AngleRule(AbstractStoppingRule):
+    """|J d| <= limit |v|, after Boerlin & Grussenmeyer (2013): |J d| is what a step still moves the residuals."""
+
+    name: ClassVar[str] = "angle"
+    limit: float = eqx.field(static=True, converter=float, default=1e-8)
+
+    def measure(self, step: StepTaken) -> Float[Array, ""]:
+        return jnp.sqrt(jnp.maximum(step.angle_squared, 0.0))
+
+
+class PointRule(AbstractStoppingRule):
+    """Largest change of a coordinate of an object point, object unit."""
+
+    limit: float = eqx.field(static=True, converter=float)
+    name: ClassVar[str] = "points"
+
+    def measure(self, step: StepTaken) -> Float[Array, ""]:
+        return jnp.max(jnp.abs(step.after.points - step.before.points))
+
+
+class StereoPairs(eqx.Module):
+    """Rays of the same point on two images."""
+
+    first_ray: Int[Array, " pair"]
+    second_ray: Int[Array, " pair"]
+    rays: Observations
+
+
+class ParallaxRule(AbstractStoppingRule):
+    """Fall of the largest y-parallax of all stereo pairs, in units of the principal distance.
+
+    The pairs are successive images of each point: their rays are known once the rule is that of a block.
+    """
+
+    limit: float = eqx.field(static=True, converter=float)
+    pairs: StereoPairs | None = None
+    name: ClassVar[str] = "parallax"
+
+    def of(self, block: Block) -> "ParallaxRule":
+        structure = block.structure
+        order = np.lexsort((structure.ray_image, structure.ray_point))
+        image, point = structure.ray_image[order], structure.ray_point[order]
+        # a point measured twice on an image has no base there
+        same = (point[1:] == point[:-1]) & (image[1:] != image[:-1])
+        first, second = jnp.asarray(order[:-1][same]), jnp.asarray(order[1:][same])
+        return ParallaxRule(self.limit, StereoPairs(first, second, observations_of(block)))
+
+    def measure(self, step: StepTaken) -> Float[Array, ""]:
+        before = jnp.max(jnp.abs(self.parallax(step.before)))
+        return before - jnp.max(jnp.abs(self.parallax(step.after)))
+
+    def arranged(self, order: Order) -> "ParallaxRule":
+        assert self.pairs is not None
+        rays = self.pairs.rays
+        moved = (
+            jnp.asarray(order.image, jnp.int32)[rays.ray_image],
+            jnp.asarray(order.point, jnp.int32)[rays.ray_point],
+            jnp.zeros(order.images, jnp.int32)
+            .at[order.image]
+            .set(jnp.asarray(order.camera, jnp.int32)[rays.image_camera]),
+        )
+        where = eqx.tree_at(lambda o: (o.ray_image, o.ray_point, o.image_camera), rays, moved)
+        return eqx.tree_at(lambda r: r.pairs.rays, self, where)
+
+    def parallax(self, unknowns: Unknowns) -> Float[Array, " pair"]:
+        """y-parallax y' - y'' of each pair, its photographs turned into the normal case along their base."""
+        assert self.pairs is not None, "a rule looks at the rays of one block: rule.of(block)"
+        first, second = self.pairs.first_ray, self.pairs.second_ray
+        directions, centres = measured_directions(unknowns, self.pairs.rays)
+        u, w = directions[:, first], directions[:, second]
+        base = centres[:, second] - centres[:, first]
+        base = base / jnp.sqrt(jnp.sum(base**2, 0))
+        mean = u + w
+        depth = mean - base * jnp.sum(mean * base, 0)  # normal case: depth at right angles to the base
+        depth = depth / jnp.sqrt(jnp.sum(depth**2, 0))
+        across = jnp.cross(depth, base, axis=0)
+        return jnp.sum(u * across, 0) / jnp.sum(u * depth, 0) - jnp.sum(w * across, 0) / jnp.sum(w * depth, 0)
+
+
+class ChosenUnknowns(eqx.Module):
+    """Which unknowns are looked at."""
+
+    exterior: Bool[Array, "6 image"]
+    interior: Bool[Array, "element camera"]
+    points: Bool[Array, "3 point"]
+
+
+class UnknownRule(AbstractStoppingRule):
+    """Largest change of the unknowns called `names`, of all where there are none; each in its own unit (angles in
+    radians). A block that has lost some of them, as a point with its last ray, is judged by the others."""
+
+    limit: float = eqx.field(static=True, converter=float)
+    names: tuple[tuple[str, str], ...] = eqx.field(static=True, default=())
+    chosen: ChosenUnknowns | None = None
+    name: ClassVar[str] = "unknown"
+
+    def of(self, block: Block) -> "UnknownRule":
+        structure = block.structure
+        exterior = np.full((6, len(structure.image_names)), not self.names)
+        interior = np.full((block.interior.elements.shape[1], len(structure.cameras)), not self.names)
+        points = np.full((3, len(structure.point_names)), not self.names)
+        there = [_choose(structure, who, element, exterior, interior, points) for who, element in self.names]
+        if self.names and not any(there):
+            raise _unknown_name(*self.names[0])
+        return UnknownRule(self.limit, (), ChosenUnknowns(*map(jnp.asarray, (exterior, interior, points))))
+
+    def arranged(self, order: Order) -> "UnknownRule":
+        assert self.chosen is not None
+        masks = (
+            jnp.zeros((6, order.images), bool).at[:, order.image].set(self.chosen.exterior),
+            jnp.zeros((self.chosen.interior.shape[0], order.cameras), bool)
+            .at[:, order.camera]
+            .set(self.chosen.interior),
+            jnp.zeros((3, order.points), bool).at[:, order.point].set(self.chosen.points),
+        )
+        return UnknownRule(self.limit, (), ChosenUnknowns(*masks))
+
+    def measure(self, step: StepTaken) -> Float[Array, ""]:
+        assert self.chosen is not None, "a rule looks at the unknowns of one block: rule.of(block)"
+        system = step.observations.system
+        old, new = (jnp.stack(system.angles_from_rotation(tuple(u.rotation))) for u in (step.before, step.after))
+        turned = jnp.arctan2(jnp.sin(new - old), jnp.cos(new - old))
+        exterior = jnp.concatenate([step.after.centre - step.before.centre, turned])
+        changes = (
+            (exterior, self.chosen.exterior),
+            (step.after.interior - step.before.interior, self.chosen.interior),
+            (step.after.points - step.before.points, self.chosen.points),
+        )
+        return jnp.max(jnp.stack([jnp.max(jnp.where(chosen, jnp.abs(change), 0.0)) for change, chosen in changes]))
+
+
+def measured_directions(
+    unknowns: Unknowns, observations: Observations
+) -> tuple[Float[Array, "3 ray"], Float[Array, "3 ray"]]:
+    """Directions of the measured image points in the object system, and their projection centres.
+
+    The measured direction is the computed one less the residual at image scale: exact for models that correct the
+    measurement, of first order in the residual for those that distort the projection.
+    """
+    image = observations.ray_image
+    turn, centre = tuple(unknowns.rotation[:, image]), tuple(unknowns.centre[:, image])
+    interior = unknowns.interior[:, observations.image_camera[image]]
+    x, y = central_projection(photo_vector(turn, centre, tuple(unknowns.points[:, observations.ray_point])), 1.0)
+    elements = observations.model.elements
+    scale = 1 / interior[elements.index("principal_distance")] if "principal_distance" in elements else 1.0
+    if "pixel_size" in elements:
+        scale = scale * interior[elements.index("pixel_size")]
+    v = ray_residuals(unknowns, observations) * scale
+    photo = x - v[0], y - v[1], -jnp.ones_like(x)
+    return jnp.stack(rotation.apply(turn, photo)), jnp.stack(centre)
+
+
+def parallax_rule(block: Block, delta: float) -> ParallaxRule:
+    """The rule for all pairs of successive images of each point."""
+    require_a(Block, block, "stopping.parallax_rule")
+    require_photographs(block, "stopping.parallax_rule")
+    return ParallaxRule(delta)
+
+
+def unknown_rule(block: Block, delta: float, *names: tuple[str, str]) -> UnknownRule:
+    """The rule for unknowns named ("image", "X0"), ("camera", "K1") or ("point", "Z"); without names, for all.
+
+    Raises: ValueError naming what is not in the block.
+    """
+    require_a(Block, block, "stopping.unknown_rule")
+    for name in names:
+        UnknownRule(delta, (name,)).of(block)
+    return UnknownRule(delta, names)
+
+
+def _unknown_name(who: str, element: str) -> ValueError:
+    return ValueError(f"no unknown {element} of {who} in the block; name an image, a camera or a point of it")
+
+
+def _choose(structure: Structure, who: str, element: str, exterior, interior, points) -> bool:
+    cameras = {camera.name: k for k, camera in enumerate(structure.cameras)}
+    if who in structure.image_names and element in structure.exterior_elements:
+        exterior[structure.exterior_elements.index(element), structure.image_names.index(who)] = True
+    elif who in cameras and element in structure.cameras[cameras[who]].model.elements:
+        interior[structure.cameras[cameras[who]].model.elements.index(element), cameras[who]] = True
+    elif who in structure.point_names and element in ("X", "Y", "Z"):
+        points["XYZ".index(element), structure.point_names.index(who)] = True
+    else:
+        return False
+    return True

@@ -1,0 +1,183 @@
+"""Precision of functions of the unknowns, error ellipses, and precision by groups.
+
+    C_ff = sigma0^2 F Q F^T,    F = df/d(unknowns) by autodiff
+
+Q F^T comes from the factorised normal equations, one pass through the tiles a function; Q is never formed.
+"""
+
+from collections.abc import Callable
+from typing import Any, NamedTuple
+
+import jax
+import jax.numpy as jnp
+import numpy as np
+from jaxtyping import Array, Float
+
+from jaxbundle.block.block import Block
+from jaxbundle.block.datum import with_datum
+from jaxbundle.block.given import require_a
+from jaxbundle.block.unknowns import angle_derivatives, unknowns_of
+from jaxbundle.normals.from_block import BlockVectors, ordered_vectors, problem, to_elimination_order
+from jaxbundle.normals.plan.elimination_plan import EliminationPlan
+from jaxbundle.normals.plan.known_plans import planned
+from jaxbundle.normals.problem import NormalVector, OrderedUnknowns, Problem
+from jaxbundle.normals.solve_normals import inverse_products
+from jaxbundle.numerics.compilation import RAYS_FOR_OPTIMISATION, Compiled
+from jaxbundle.numerics.host import on_device
+from jaxbundle.numerics.trial import first_line
+from jaxbundle.solve.adjustment import Adjustment
+from jaxbundle.solve.free_network import carrying_places, with_inner_constraints
+
+EXAMPLE = "for example jb.covariance_of(result, lambda block: block.object_points[jnp.array([3, 7])])"
+
+
+class Estimated(NamedTuple):
+    """Values of functions of the unknowns, their a-posteriori covariance matrix and standard deviations.
+
+    Functions of any shape: the covariance of elements [i, j] and [k, l] stands at [i, j, k, l].
+    """
+
+    values: Float[np.ndarray, "*shape"]
+    covariance: Float[np.ndarray, "..."]
+
+    @property
+    def standard_deviations(self) -> Float[np.ndarray, "*shape"]:
+        """Square roots of the variances."""
+        count, shape = self.values.size, self.values.shape
+        return np.sqrt(np.diagonal(self.covariance.reshape(count, count))).reshape(shape)
+
+
+class Ellipsoids(NamedTuple):
+    """Semi-axes, longest first, and their directions, the columns; of one standard deviation in every direction."""
+
+    semi_axes: Float[np.ndarray, "point axis"]
+    directions: Float[np.ndarray, "point coordinate axis"]
+
+
+def covariance_of(adjustment: Adjustment, function: Callable[[Block], Array]) -> Estimated:
+    """Values and covariance of a differentiable function of the adjusted block: one number or an array of any shape.
+
+    `lambda b: b.object_points[jnp.array([3, 7])]` gives values (2, 3) and a covariance (2, 3, 2, 3). What is fixed in
+    the block counts as errorless. A robust adjustment counts with the weights of its last round.
+
+    Raises: TypeError for a function that returns no array of numbers; ValueError for one that is not differentiable or
+    whose values or derivatives are not finite, and for a solution without factorisation, by conjugate gradients.
+    """
+    require_a(Adjustment, adjustment, "covariance_of")
+    if adjustment.reduced == "pcg":
+        raise ValueError("conjugate gradients give no variances: adjust with another solver")
+    adjusted = adjustment.weighted_block
+    values, derivatives = _linearised(adjusted, function)
+    block = with_datum(adjusted)
+    centres = np.asarray(block.exterior.projection_centre)
+    centred = block.moved(on_device(-centres.mean(0)))
+    plan = planned(block.structure, block.groups, centres, 1)
+    args = to_elimination_order(plan, unknowns_of(centred)), problem(plan, centred)
+    rows = _arranged_rows(plan, block, derivatives)
+    inner = block.structure.datum.constraints
+    carrying = carrying_places(block.structure, plan) if inner else None
+    optimised = len(block.structure.ray_image) >= RAYS_FOR_OPTIMISATION
+    cofactors = np.asarray(_cofactors(*args, rows, carrying, inner, optimised=optimised))
+    covariance = float(adjustment.sigma0) ** 2 * cofactors
+    return Estimated(values, covariance.reshape(values.shape * 2))
+
+
+def _linearised(block: Block, function: Callable[[Block], Array]) -> tuple[Float[np.ndarray, "*shape"], Block]:
+    """A user's function at the adjusted block: its values, and its derivatives, a row for each value."""
+    if not callable(function):
+        raise TypeError(f"covariance_of takes a function of the block, not {type(function).__name__}: {EXAMPLE}")
+
+    def vector(block: Block) -> Float[Array, " function"]:
+        return jnp.ravel(jnp.asarray(function(block)))
+
+    try:
+        returned = function(block)
+    except Exception as error:  # it is anybody's code: whatever it raises is what is wrong with it
+        raise ValueError(f"the function fails with {type(error).__name__}: {first_line(error)}; {EXAMPLE}") from error
+    if not (hasattr(returned, "dtype") or isinstance(returned, float | int)):
+        raise TypeError(f"the function returns {type(returned).__name__}, not an array of numbers; {EXAMPLE}")
+    values = np.asarray(returned)
+    if not np.issubdtype(values.dtype, np.floating):
+        raise TypeError(f"the function returns an array of {values.dtype}, not of floating-point numbers; {EXAMPLE}")
+    if values.size == 0:
+        raise ValueError(f"the function returns an array without elements, of shape {values.shape}; {EXAMPLE}")
+    if not np.isfinite(values).all():
+        raise ValueError(f"{_share(values)} values of the function are not finite numbers; guard its divisions")
+    try:
+        derivatives = jax.jacrev(vector, allow_int=True)(block)
+    except Exception as error:
+        raise ValueError(
+            f"the function cannot be differentiated ({type(error).__name__}: {first_line(error)}); write it with"
+            f" jax.numpy: {EXAMPLE}"
+        ) from error
+    names = "exterior", "interior", "object_points", "parameters"
+    for name, rows in zip(names, _by_unknowns(derivatives), strict=True):
+        if not np.isfinite(rows).all():
+            raise ValueError(
+                f"{_share(rows)} derivatives of the function with respect to the {name} are not finite numbers;"
+                " guard roots of 0 and divisions by jnp.where"
+            )
+    return values, derivatives
+
+
+def _by_unknowns(derivatives: Block) -> tuple[np.ndarray, ...]:
+    """Derivatives with respect to the unknowns."""
+    exterior = [np.asarray(x) for x in (derivatives.exterior.projection_centre, derivatives.exterior.angles)]
+    others = derivatives.interior.elements, derivatives.object_points, derivatives.parameters
+    return np.stack(exterior), *map(np.asarray, others)
+
+
+def _share(values: np.ndarray) -> str:
+    return f"{int((~np.isfinite(values)).sum())} of {values.size}"
+
+
+@Compiled
+def _cofactors(
+    unknowns: OrderedUnknowns, p: Problem, rows: NormalVector, carrying: Float[Array, " place"] | None, constraints: int
+) -> Float[Array, "function function"]:
+    """F Q F^T."""
+    if carrying is not None:
+        rows = with_inner_constraints(unknowns, p, carrying, constraints, rows)
+    return inverse_products(unknowns, p, rows)
+
+
+def _arranged_rows(plan: EliminationPlan, block: Block, derivatives: Any) -> NormalVector:
+    """F in the order of elimination, by the angles of the corrections."""
+    structure, unknowns = block.structure, unknowns_of(block)
+    turned = np.asarray(angle_derivatives(unknowns.rotation, None, block.exterior.angles.T, structure.rotation_system))
+    by_angles = np.einsum("fia,abi->fib", np.asarray(derivatives.exterior.angles), turned)
+    by_centre = np.asarray(derivatives.exterior.projection_centre)
+    by_interior = np.asarray(derivatives.interior.elements)[:, :, list(structure.interior_columns)]
+    rows = BlockVectors(
+        np.concatenate([by_centre, by_angles], 2),
+        by_interior,
+        np.asarray(derivatives.parameters),
+        np.asarray(derivatives.object_points),
+    )
+    return jax.tree.map(on_device, ordered_vectors(plan, structure, rows))
+
+
+def error_ellipsoids(adjustment: Adjustment) -> Ellipsoids:
+    """Of all object points, a posteriori.
+
+    Raises: ValueError where no cofactors were computed.
+    """
+    require_a(Adjustment, adjustment, "statistics.error_ellipsoids")
+    if adjustment.cofactors is None:
+        raise ValueError("this adjustment was made without standard deviations: call adjust(..., precision=True)")
+    values, vectors = np.linalg.eigh(np.asarray(adjustment.cofactors.object_points))
+    roots = float(adjustment.sigma0) * np.sqrt(np.maximum(values, 0.0))
+    return Ellipsoids(roots[:, ::-1], vectors[:, :, ::-1])
+
+
+def error_ellipses(adjustment: Adjustment) -> Ellipsoids:
+    """In the plane X, Y, of all object points, a posteriori.
+
+    Raises: ValueError where no cofactors were computed.
+    """
+    require_a(Adjustment, adjustment, "statistics.error_ellipses")
+    if adjustment.cofactors is None:
+        raise ValueError("this adjustment was made without standard deviations: call adjust(..., precision=True)")
+    values, vectors = np.linalg.eigh(np.asarray(adjustment.cofactors.object_points)[:, :2, :2])
+    roots = float(adjustment.sigma0) * np.sqrt(np.maximum(values, 0.0))
+    return Ellipsoids(roots[:, ::-1], vectors[:, :, ::-1])

@@ -1,0 +1,318 @@
+"""The textbook's partials and its matrix against derivatives of the image equation that nobody wrote by hand.
+
+Every formula is compared with three derivatives of equation (161) over many random rays:
+
+    forward, reverse    automatic differentiation
+    complex             Im F(u + i h) / h with h = 1e-30: no difference is formed, so it is exact to rounding
+                        (Squire & Trapp 1998); the image equation is analytic in its nine unknowns
+
+The largest deviation counts, in units of the largest movement of the image point that an unknown of the kind can cause:
+
+    d / |Z*|    by a shift of one unit of length      d^2 / f    by a turn of one radian      d^2 = f^2 + x^2 + y^2
+
+These are the largest singular values of the two derivatives. They never vanish, so a partial that passes through zero
+is no false alarm, and a wrong sign shows as a deviation of the order of one.
+"""
+
+from collections.abc import Callable
+from dataclasses import dataclass
+from functools import partial
+from textwrap import fill
+from typing import NamedTuple
+
+import jax
+import jax.numpy as jnp
+import numpy as np
+from jaxtyping import Array, Float
+
+from jaxbundle.camera.collinearity import central_projection, collinearity, photo_vector
+from jaxbundle.geometry.rotation import IDENTITY, Rotation, apply, from_alpha_omega_kappa, product, transpose
+from jaxbundle.numerics.float64 import require_float64
+from jaxbundle.textbook.partials import (
+    FORMULAS,
+    MATRIX_ELEMENTS,
+    NAMES,
+    UNKNOWNS,
+    Partials,
+    printed_matrix,
+    printed_partials,
+    regular_partials,
+)
+
+THRESHOLD = 1e-12  # thousands of roundings; a misprint deviates by the order of one
+STEP = 1e-30  # its square vanishes beside every unknown and does not underflow
+WIDTH = 100
+METHODS = ("forward", "reverse", "complex")
+
+Formulas = Callable[..., Partials]
+Matrix = Callable[..., Rotation]
+
+
+class Rays(NamedTuple):
+    """Random rays: the nine unknowns in the order of (162), and the principal distance."""
+
+    unknowns: Float[Array, "9 ray"]
+    principal_distance: Float[Array, " ray"]
+
+
+@dataclass(frozen=True)
+class Comparison:
+    """18 formulas against the three derivatives: the largest deviations over one set of rays.
+
+    `opposite` is the largest deviation of the formulas with their signs reversed.
+    """
+
+    deviations: Float[np.ndarray, "3 18"]
+    opposite: Float[np.ndarray, "3 18"]
+
+    @property
+    def worst(self) -> np.ndarray:
+        """The largest deviation of each formula; infinite where a formula has no value."""
+        return self.deviations.max(axis=0)
+
+    @property
+    def holds(self) -> np.ndarray:
+        """Which formulas hold."""
+        return self.worst <= THRESHOLD
+
+    @property
+    def wrong_sign(self) -> np.ndarray:
+        """Which formulas hold with the opposite sign only."""
+        return ~self.holds & (self.opposite.max(axis=0) <= THRESHOLD)
+
+
+@dataclass(frozen=True)
+class MatrixComparison:
+    """The printed matrix (164): deviation of its elements from the corrected one, and max |R^T R - I| of both."""
+
+    deviations: Float[np.ndarray, " 9"]
+    printed_defect: float
+    corrected_defect: float
+
+    @property
+    def wrong(self) -> tuple[str, ...]:
+        """Names of the misprinted elements."""
+        return tuple(name for (name, *_), d in zip(MATRIX_ELEMENTS, self.deviations, strict=True) if d > THRESHOLD)
+
+
+@dataclass(frozen=True)
+class CrossCheck:
+    """The verdict on 18 formulas, as printed or a reader's own, and on the printed matrix.
+
+    Ordinary rays have omega within +-85 deg; the singular ones have it at +-90 deg or close to it.
+    """
+
+    title: str
+    draws: int
+    ordinary: Comparison
+    singular: Comparison
+    with_printed_matrix: Comparison
+    regular: Comparison
+    regular_singular: Comparison
+    matrix: MatrixComparison
+
+    @property
+    def passed(self) -> bool:
+        """Whether the formulas hold away from omega = +-90 deg, and their form without 0/0 everywhere."""
+        return all(comparison.holds.all() for comparison in (self.ordinary, self.regular, self.regular_singular))
+
+    def table(self) -> str:
+        """All deviations: one line a partial, then one line an element of the matrix."""
+        return "\n".join([*_partials_table(self), "", *_matrix_table(self.matrix)])
+
+    def verdict(self) -> str:
+        """What holds, what does not, and what is right instead."""
+        lines = [*_verdict_on_formulas(self), *_verdict_on_matrix(self)]
+        return "\n".join(fill(line, WIDTH, subsequent_indent="  ") for line in lines)
+
+
+def crosscheck(partials: Formulas | None = None, *, draws: int = 100_000, seed: int = 0) -> CrossCheck:
+    """Compares the printed partials (163), or a reader's own, with the derivatives of the image equation.
+
+    `partials(rotation, angles, projection_centre, object_point, principal_distance)` returns the 18 partials
+    A1 ... A9, B1 ... B9, as `printed_partials` does: `rotation` = (a1, a2, a3, b1, b2, b3, c1, c2, c3), `angles` =
+    (alpha, omega, kappa), two points, f. Each of these scalars is an array with one element a ray.
+    """
+    require_float64()
+    if draws < 1:
+        raise ValueError(f"draws is {draws}; a comparison needs at least 1 ray")
+    formulas, title = (printed_partials, "as printed") if partials is None else (partials, "as given")
+    rng = np.random.default_rng(seed)
+    ordinary = _draw(rng, _ordinary_omega(rng, draws))
+    singular = _draw(rng, _singular_omega(rng, draws))
+    ordinary_derivatives = _derivatives(ordinary, from_alpha_omega_kappa)
+    singular_derivatives = _derivatives(singular, from_alpha_omega_kappa)
+    return CrossCheck(
+        title,
+        draws,
+        _compare(formulas, from_alpha_omega_kappa, ordinary, ordinary_derivatives),
+        _compare(formulas, from_alpha_omega_kappa, singular, singular_derivatives),
+        _compare(formulas, printed_matrix, ordinary, _derivatives(ordinary, printed_matrix)),
+        _compare(regular_partials, from_alpha_omega_kappa, ordinary, ordinary_derivatives),
+        _compare(regular_partials, from_alpha_omega_kappa, singular, singular_derivatives),
+        _compare_matrices(ordinary.unknowns[3:6]),
+    )
+
+
+def orthonormality_defect(rotation: Rotation) -> Float[Array, "..."]:
+    """max |R^T R - I|: zero for a rotation."""
+    gram = product(transpose(rotation), rotation)
+    return jnp.max(jnp.stack([jnp.abs(g - i) for g, i in zip(gram, IDENTITY, strict=True)]), axis=0)
+
+
+def _ordinary_omega(rng: np.random.Generator, draws: int) -> np.ndarray:
+    return np.radians(rng.uniform(-85.0, 85.0, draws))
+
+
+def _singular_omega(rng: np.random.Generator, draws: int) -> np.ndarray:
+    """+-90 deg: every fourth exactly, the others off it by 1e-17 to 0.1 rad on either side."""
+    offset = 10 ** rng.uniform(-17, -1, draws) * rng.choice([-1.0, 1.0], draws)
+    offset[::4] = 0.0
+    return (np.pi / 2 + offset) * rng.choice([-1.0, 1.0], draws)
+
+
+def _draw(rng: np.random.Generator, omega: np.ndarray) -> Rays:
+    """Terrain points in front of cameras of any heading, up to 45 deg off axis in x and in y."""
+    draws = len(omega)
+    alpha, kappa = rng.uniform(-np.pi, np.pi, (2, draws))
+    centre = rng.uniform(-1000.0, 1000.0, (3, draws))
+    principal_distance = 10 ** rng.uniform(1, 3, draws)
+    depth = 10 ** rng.uniform(0, 4, draws)
+    p = depth * np.stack([*rng.uniform(-1.0, 1.0, (2, draws)), np.full(draws, -1.0)])
+    angles = jnp.asarray(alpha), jnp.asarray(omega), jnp.asarray(kappa)
+    ray = apply(from_alpha_omega_kappa(*angles), (jnp.asarray(p[0]), jnp.asarray(p[1]), jnp.asarray(p[2])))
+    return Rays(jnp.concatenate([centre, jnp.stack(angles), centre + jnp.stack(ray)]), jnp.asarray(principal_distance))
+
+
+def _complex_step(function: Callable) -> Callable:
+    """The Jacobian of a real analytic function of a vector, as `jax.jacfwd` gives it."""
+
+    def jacobian(unknowns: Float[Array, " n"], *arguments: Array) -> Float[Array, "m n"]:
+        steps = unknowns + 1j * STEP * jnp.eye(len(unknowns))
+        return jax.vmap(lambda shifted: function(shifted, *arguments), out_axes=-1)(steps).imag / STEP
+
+    return jacobian
+
+
+@partial(jax.jit, static_argnames="matrix")
+def _derivatives(rays: Rays, matrix: Matrix) -> Float[Array, "3 2 9 ray"]:
+    """d(x, y) / d(unknowns) of the image equation by the three methods."""
+
+    def image_point(unknowns: Array, principal_distance: Array) -> Array:
+        x0, y0, z0, alpha, omega, kappa, x, y, z = unknowns
+        return jnp.stack(collinearity(matrix(alpha, omega, kappa), (x0, y0, z0), (x, y, z), principal_distance))
+
+    jacobians = jax.jacfwd(image_point), jax.jacrev(image_point), _complex_step(image_point)
+    return jnp.stack([jax.vmap(jacobian, in_axes=-1, out_axes=-1)(*rays) for jacobian in jacobians])
+
+
+def _compare(formulas: Formulas, matrix: Matrix, rays: Rays, derivatives: Float[Array, "3 2 9 ray"]) -> Comparison:
+    x0, y0, z0, alpha, omega, kappa, x, y, z = rays.unknowns
+    rotation, centre, point = matrix(alpha, omega, kappa), (x0, y0, z0), (x, y, z)
+    with np.errstate(all="ignore"):  # 0/0 at omega = +-90 deg is what some formulas are to be caught at
+        values = formulas(rotation, (alpha, omega, kappa), centre, point, rays.principal_distance)
+    if len(values) != len(NAMES):
+        raise ValueError(f"the partials are {len(values)} values; return 18, A1 ... A9 and then B1 ... B9")
+    closed = jnp.stack([jnp.broadcast_to(value, x.shape) for value in values])
+    p = photo_vector(rotation, centre, point)
+    return Comparison(*map(np.asarray, _largest(closed, derivatives, jnp.stack(p), rays.principal_distance)))
+
+
+@jax.jit
+def _largest(
+    closed: Float[Array, "18 ray"],
+    derivatives: Float[Array, "3 2 9 ray"],
+    p: Float[Array, "3 ray"],
+    principal_distance: Float[Array, " ray"],
+) -> tuple[Float[Array, "3 18"], Float[Array, "3 18"]]:
+    """Largest deviation over the rays, with the sign given and with the opposite one, in the units named above.
+
+    The printed matrix puts some points behind the camera or far to its side: only rays within 60 deg of its axis count.
+    """
+    x, y = central_projection((p[0], p[1], p[2]), principal_distance)
+    d2 = principal_distance**2 + x**2 + y**2
+    shift, turn = jnp.sqrt(d2) / jnp.abs(p[2]), d2 / principal_distance
+    unit = jnp.stack([shift] * 3 + [turn] * 3 + [shift] * 3)
+    in_view = (p[2] < 0) & (d2 < 4 * principal_distance**2)
+    derivatives = derivatives.reshape(len(METHODS), len(NAMES), -1)
+
+    def largest(difference: Float[Array, "3 18 ray"]) -> Float[Array, "3 18"]:
+        relative = jnp.abs(difference) / jnp.concatenate([unit, unit])
+        relative = jnp.where(jnp.isnan(relative), jnp.inf, relative)  # on a CPU, XLA's maximum passes over NaN
+        return jnp.max(jnp.where(in_view, relative, 0.0), axis=-1)
+
+    return largest(closed - derivatives), largest(closed + derivatives)
+
+
+def _compare_matrices(angles: Float[Array, "3 ray"]) -> MatrixComparison:
+    printed, corrected = printed_matrix(*angles), from_alpha_omega_kappa(*angles)
+    deviations = [float(jnp.max(jnp.abs(p - c))) for p, c in zip(printed, corrected, strict=True)]
+    defects = [float(jnp.max(orthonormality_defect(matrix))) for matrix in (printed, corrected)]
+    return MatrixComparison(np.array(deviations), *defects)
+
+
+def _label(k: int | np.integer) -> str:
+    return f"{NAMES[k]} d{'x' if k < 9 else 'y'}/d{UNKNOWNS[k % 9]}"
+
+
+def _partials_table(check: CrossCheck) -> list[str]:
+    columns = (
+        *((method, "", deviations) for method, deviations in zip(METHODS, check.ordinary.deviations, strict=True)),
+        (check.title, "at +-90 deg", check.singular.worst),
+        ("with (164)", "as printed", check.with_printed_matrix.worst),
+        ("without 0/0", "elsewhere", check.regular.worst),
+        ("without 0/0", "at +-90 deg", check.regular_singular.worst),
+    )
+    rows = [f"{_label(k):12}" + "".join(f"{column[2][k]:12.1e}" for column in columns) for k in range(len(NAMES))]
+    return [
+        f"Partials (163), {check.draws} random rays: largest deviation, 1 = largest movement of an image point",
+        f"{'':12}{check.title + ', against':^36}" + "".join(f"{column[0]:>12}" for column in columns[3:]),
+        f"{'':12}" + "".join(f"{column[0] if k < 3 else column[1]:>12}" for k, column in enumerate(columns)),
+        *rows,
+        "at +-90 deg: omega = +-90 deg or close to it, worst of the three; elsewhere: omega within +-85 deg",
+    ]
+
+
+def _matrix_table(matrix: MatrixComparison) -> list[str]:
+    rows = [
+        f"{name}  {printed:38}{deviation:12.1e}  {corrected if name in matrix.wrong else ''}".rstrip()
+        for (name, printed, corrected), deviation in zip(MATRIX_ELEMENTS, matrix.deviations, strict=True)
+    ]
+    return [
+        "Matrix (164), a w k = alpha omega kappa: largest deviation from the corrected one",
+        f"{'':4}{'as printed':38}{'deviation':>12}  corrected",
+        *rows,
+        f"max |R^T R - I|: as printed {matrix.printed_defect:.2g}, corrected {matrix.corrected_defect:.1e}",
+    ]
+
+
+def _verdict_on_formulas(check: CrossCheck) -> list[str]:
+    ordinary, singular = check.ordinary, check.singular
+    count = int(ordinary.holds.sum())
+    held = "All 18 partials hold" if count == 18 else f"{count} of the 18 partials hold"
+    lines = [f"{held} {check.title}, with the corrected matrix (threshold {THRESHOLD:.0e})."]
+    for k in np.flatnonzero(~ordinary.holds):
+        sign = "has the opposite sign" if ordinary.wrong_sign[k] else f"deviates by {ordinary.worst[k]:.1e}"
+        lines.append(f"  {_label(k)} {sign}; correct: {NAMES[k]} = {FORMULAS[k]}")
+    lost = np.flatnonzero(ordinary.holds & ~singular.holds)
+    if lost.size:
+        lines.append(f"At omega = +-90 deg, or close to it, {_names(lost)} lose their digits (0/0); there use")
+        lines += [f"  {NAMES[k]} = {FORMULAS[k]}" for k in lost]
+    if (check.regular.holds & check.regular_singular.holds).all():
+        lines.append("The form without 0/0 holds in every attitude, omega = +-90 deg included.")
+    return lines
+
+
+def _verdict_on_matrix(check: CrossCheck) -> list[str]:
+    matrix, holds = check.matrix, check.with_printed_matrix.holds
+    lines = [
+        f"The matrix (164) as printed is no rotation, max |R^T R - I| = {matrix.printed_defect:.2g}; "
+        f"{len(matrix.wrong)} elements are wrong. Correct:"
+    ]
+    lines += [f"  {name} = {corrected}" for name, _, corrected in MATRIX_ELEMENTS if name in matrix.wrong]
+    lines.append(f"With the matrix as printed {_names(np.flatnonzero(~holds))} do not hold.")
+    return lines
+
+
+def _names(indices: np.ndarray) -> str:
+    return ", ".join(NAMES[k] for k in indices)
