@@ -6,14 +6,15 @@ import equinox as eqx
 import jax.numpy as jnp
 import numpy as np
 import pytest
-from cases.bare_blocks import Bare, aerial, bare, block_of, errors, scene, without_start
-from jaxbundle.orientation.checked_start import with_checked_start
+from cases.bare_blocks import Bare, C, aerial, attitudes, bare, block_of, errors, scene, without_start
+from cases.plain_bundle import adjusted
 
 import jaxbundle as jb
 from jaxbundle.block.block import Block
 from jaxbundle.block.findings import Kind, Subject
 from jaxbundle.orientation import from_nothing
 from jaxbundle.orientation.approximation import Way
+from jaxbundle.orientation.checked_start import with_checked_start
 from jaxbundle.orientation.robust_intersection import Rays, apart
 from jaxbundle.orientation.to_object import Basis
 
@@ -191,6 +192,55 @@ def test_equal_stations_give_no_scale(strips):
     found = jb.approximate(with_group(strips.block, jb.observations.STATIONS, np.arange(8), np.ones((8, 3)), 0.1))
     assert found.parts[0].basis is Basis.OWN
     assert is_right(found, strips)
+
+
+def test_control_with_one_ray_gives_no_scale_by_itself(strips):
+    """Two full control points, and three that a single image shows: the scale is that of the two."""
+    s = strips.block.structure
+    first = np.unique(s.ray_point, return_index=True)[1]
+    chosen = np.flatnonzero(np.bincount(s.ray_point) >= 3)[[0, 40, 10, 20, 30]]
+    keep = ~np.isin(s.ray_point, chosen[2:]) | np.isin(np.arange(len(s.ray_point)), first)
+    block = block_of(
+        s.ray_image[keep], s.ray_point[keep], np.asarray(strips.block.rays.coordinates)[keep], len(strips.centre)
+    )
+    found = jb.approximate(with_group(block, jb.observations.CONTROL, chosen, strips.points[chosen], 0.05))
+    assert found.complete and not found.suspect_rays.any()
+    distance = np.linalg.norm(np.asarray(found.block.exterior.projection_centre) - strips.centre, axis=1)
+    assert distance.max() < 1000 * 3 * SOON
+    assert [finding.kind for finding in found.findings] == [Kind.ASSUMED]
+
+
+def test_names_of_two_equal_towers_exchanged():
+    """Points of one tower that in 30 % of the rays have the name of their twin: named, not believed."""
+    rng = np.random.default_rng(8)
+    centre, rotation, points = aerial(2, 4, 30, rng)
+    tower = np.c_[rng.uniform(-60, 60, (60, 2)) + [500, 300], rng.uniform(0, 150, 60)]
+    points = np.concatenate([points, tower, tower + [400.0, 300.0, 0.0]])
+    truth = bare(centre, rotation, points, 0.0, rng)
+    s = truth.block.structure
+    twin = np.full(len(truth.points), -1)
+    for shift in ([400.0, 300.0, 0.0], [-400.0, -300.0, 0.0]):
+        off = np.abs(truth.points[:, None] + shift - truth.points[None]).max(2)
+        own, other = np.nonzero(off < 1e-6)
+        twin[own] = other
+    there = s.ray_image.astype(np.int64) * len(twin) + s.ray_point
+    both = np.isin(s.ray_image.astype(np.int64) * len(twin) + twin[s.ray_point], there) & (twin[s.ray_point] >= 0)
+    wrong = both & (rng.random(len(both)) < 0.3)
+    point = np.where(wrong, twin[s.ray_point], s.ray_point)
+    block = block_of(s.ray_image, point, np.asarray(truth.block.rays.coordinates), len(centre))
+    found = jb.approximate(block)
+    assert wrong.sum() > 50 and is_right(found, truth._replace(block=block))
+    assert found.suspect_rays[wrong].mean() > 0.9
+
+
+def test_the_bundle_makes_up_for_rough_averaged_rotations(strips, found):
+    """Averaged rotations are only a start: in plain numpy, too, the bundle ends where it ends from the truth."""
+    s = strips.block.structure
+    measured = s.ray_image, s.ray_point, np.asarray(strips.block.rays.coordinates), C
+    block = found.block
+    start = attitudes(block), np.asarray(block.exterior.projection_centre), np.asarray(block.object_points)
+    truth = adjusted((strips.rotation, strips.centre, strips.points), *measured)
+    assert adjusted(start, *measured).squares == pytest.approx(truth.squares, rel=1e-9)
 
 
 def test_a_straight_strip_with_stations_only_is_an_assumption():
