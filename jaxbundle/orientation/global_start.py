@@ -12,7 +12,7 @@ from jaxtyping import Bool, Float, Int
 from jaxbundle.orientation.approximation import Figure, Step
 from jaxbundle.orientation.block_pairs import BlockPairs, block_pairs
 from jaxbundle.orientation.common_rays import CommonRays, Directions, common_rays
-from jaxbundle.orientation.linear_positions import Lines, chosen_points, positions
+from jaxbundle.orientation.linear_positions import Bases, Lines, chosen_points, positions
 from jaxbundle.orientation.ray_votes import share, votes
 from jaxbundle.orientation.rotation_average import Attitudes, averaged
 
@@ -53,12 +53,13 @@ def global_start(directions: Directions) -> GlobalStart:
     common, pairs = _only(common, pairs, attitudes.used)
     agreeing = share(*votes(directions, common, pairs, attitudes.second[attitudes.used]))
     weight = np.where(agreeing >= 0.5, 1.0, DOUBTED)
+    bases = _bases(pairs, attitudes)
     parts, figures = [], []
     numbers, sizes = np.unique(attitudes.part, return_counts=True)
     for number in numbers[np.argsort(-sizes, kind="stable")]:
         images = np.flatnonzero(attitudes.part == number)
         if len(images) > 1:
-            part, found = _positioned(directions, attitudes, images, weight)
+            part, found = _positioned(directions, attitudes, images, (weight, bases))
             parts.append(part)
             figures.append(found)
     steps += [Step("positions", found) for found in figures if found]
@@ -70,10 +71,22 @@ def _only(common: CommonRays, pairs: BlockPairs, chosen: Bool[np.ndarray, " pair
     return CommonRays(common.pairs[chosen], rays), pairs.only(chosen)
 
 
+def _bases(pairs: BlockPairs, attitudes: Attitudes) -> Bases:
+    """The bases of the pairs that are used, in the system of the attitudes."""
+    second = attitudes.second[attitudes.used].astype(int)
+    base = pairs.base[np.arange(len(second)), second]
+    along = -np.einsum("pji,pj->pi", attitudes.rotation[pairs.pairs[:, 1]], base)  # X2 = R X1 + t, t = A2 (C1 - C2)
+    return Bases(pairs.pairs, along, pairs.parallax)
+
+
 def _positioned(
-    directions: Directions, attitudes: Attitudes, images: Int[np.ndarray, " image"], weight: Float[np.ndarray, " ray"]
+    directions: Directions,
+    attitudes: Attitudes,
+    images: Int[np.ndarray, " image"],
+    known: tuple[Float[np.ndarray, " ray"], Bases],
 ) -> tuple[PartOrientation, tuple[Figure, ...]]:
-    """Positions of one part; all in one place where its rays have no parallax."""
+    """Positions of one part; all in one place where its rays have no parallax. `known`: weights of the rays, bases."""
+    weight, bases = known
     place = np.full(directions.images, -1)
     place[images] = np.arange(len(images))
     rays = np.flatnonzero(place[directions.image] >= 0)
@@ -88,7 +101,8 @@ def _positioned(
     along = np.einsum("rji,rj->ri", rotation[image], directions.vector[rays])
     sigma, believed = directions.sigma[rays], weight[rays]
     lines = Lines(image, number[directions.point[rays]], along, sigma, believed, len(images), len(points))
-    found = positions(lines)
+    inside = (place[bases.pair] >= 0).all(1)
+    found = positions(lines, Bases(place[bases.pair[inside]], bases.along[inside], bases.parallax[inside]))
     typical = np.degrees(np.median(found.sine[believed > 0.5]))
     figures = (
         Figure("images", len(images)),

@@ -26,14 +26,24 @@ from cases.plain_bundle import adjusted  # noqa: E402
 
 import jaxbundle as jb  # noqa: E402
 
+NARROW = 1.5e-4  # 1 - cos of 1 degree: rays of a point that are 2 degrees apart
 SAME = 1e-6  # relative difference of two sums of squares at one minimum; another minimum differs by percents
+
+
+def _determined(truth: Bare, s: jb.blocks.Structure, rays: np.ndarray) -> np.ndarray:
+    """Points whose rays, of those that are used, meet at an angle: from one station no place is better than another."""
+    along = truth.points[s.ray_point] - truth.centre[s.ray_image]
+    along = np.where(rays[:, None], along / np.linalg.norm(along, axis=1, keepdims=True), 0.0)
+    count = np.bincount(s.ray_point, rays)
+    mean = np.stack([np.bincount(s.ray_point, column) for column in along.T], 1) / np.maximum(count, 1)[:, None]
+    return (count >= 2) & (1 - np.linalg.norm(mean, axis=1) > NARROW)
 
 
 def ends_at_the_minimum(found: jb.orientation.Approximation, truth: Bare) -> bool:
     """Whether the bundle from the start ends where it ends from the truth."""
     s, block = found.block.structure, found.block
     rays = ~truth.wrong & ~found.suspect_rays
-    rays &= (np.bincount(s.ray_point, rays) >= 2)[s.ray_point]
+    rays &= _determined(truth, s, rays)[s.ray_point]
     points, point = np.unique(s.ray_point[rays], return_inverse=True)
     measured = s.ray_image[rays], point, np.asarray(block.rays.coordinates)[rays], C
     start = attitudes(block), np.asarray(block.exterior.projection_centre), np.asarray(block.object_points)[points]
