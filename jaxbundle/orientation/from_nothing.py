@@ -24,6 +24,7 @@ from jaxbundle.orientation.global_start import GlobalStart, PartOrientation, glo
 from jaxbundle.orientation.oriented import oriented
 from jaxbundle.orientation.planes_and_lines import with_figures
 from jaxbundle.orientation.robust_intersection import Met, Rays, apart, met
+from jaxbundle.orientation.scale_joints import without_scale
 from jaxbundle.orientation.sight import Sight, direction_sigmas, sight_of
 from jaxbundle.orientation.start_findings import Doubts, start_findings
 from jaxbundle.orientation.to_object import Basis, Placed, Views, closed_form, placed
@@ -289,8 +290,14 @@ def _answer(work: _Work, way: Way, state: State, rest: tuple) -> Approximation:
     new, _ = with_figures(new)
     members = _parts(work, state, parts)
     loose = tuple(s.image_names[k] for k in np.flatnonzero(~done))
+    scale = np.zeros(len(done), bool)
+    for images, _ in members if way is Way.GLOBAL else ():
+        inside = np.isin(np.arange(len(done)), images)
+        fits = of[found.fits]
+        scale |= without_scale(work.sight.image[fits], work.sight.point[fits], inside)
+    scale &= ~_finite(work.given.centres)
     names = tuple(OrientedPart(tuple(s.image_names[k] for k in images), basis) for images, basis in members)
-    findings = start_findings(block, names, loose, Doubts(suspects, refused, behind))
+    findings = start_findings(block, names, loose, Doubts(suspects, refused, behind, scale))
     return Approximation(new, way, tuple(steps), names, loose, suspects, findings)
 
 

@@ -21,6 +21,8 @@ class Doubts(NamedTuple):
     """Control points that are not near their places."""
     behind: Bool[np.ndarray, " point"]
     """Points whose rays meet behind their images."""
+    scale: Bool[np.ndarray, " image"]
+    """Images whose scale rests on fewer than three points."""
 
 
 def start_findings(
@@ -31,6 +33,7 @@ def start_findings(
         *_loose(loose),
         *_parts(parts),
         *_assumption(parts),
+        *_scale(block, doubts.scale),
         *_refused(block, doubts.control),
         *_suspects(block, doubts.rays),
         *_behind(block, doubts.behind),
@@ -64,6 +67,18 @@ def _assumption(parts: Sequence[OrientedPart]) -> list[Finding]:
         return []
     what = "control and stations lie on a line; the start assumes that the mean view is vertical"
     return [Finding(Kind.ASSUMED, what, "measure a control point beside the line")]
+
+
+def _scale(block: Block, doubted: Bool[np.ndarray, " image"]) -> list[Finding]:
+    names = [block.structure.image_names[k] for k in np.flatnonzero(doubted)]
+    if not names:
+        return []
+    what = (
+        f"the distance of {counted(len(names), 'image')} from the others rests on fewer than 3 points that three images"
+    )
+    what += f" show: {named(names)}"
+    cure = "measure more points that three images show, or their stations; compare the bases with the flight"
+    return [Finding(Kind.WEAK, what, cure, _images(names), float(len(names)))]
 
 
 def _refused(block: Block, refused: Bool[np.ndarray, " point"]) -> list[Finding]:

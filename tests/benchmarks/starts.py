@@ -4,7 +4,7 @@
 
 A start succeeds when all images are oriented in one system and a bundle adjustment from it ends at the minimum that it
 reaches from the true values, with the right rays that the start believes (`cases/plain_bundle.py`). One that does not
-succeed and does not say so (`Approximation.complete`, or images that are doubted) is counted as silent. Wrong rays are
+succeed and does not say so (`Approximation.complete`, or a finding about images) is counted as silent. Wrong rays are
 named or not; right rays that are named are counted too.
 """
 
@@ -28,6 +28,11 @@ import jaxbundle as jb  # noqa: E402
 
 NARROW = 1.5e-4  # 1 - cos of 1 degree: rays of a point that are 2 degrees apart
 SAME = 1e-6  # relative difference of two sums of squares at one minimum; another minimum differs by percents
+
+
+def said(found: jb.orientation.Approximation) -> bool:
+    """Whether the start says that images may be wrong."""
+    return not found.complete or any(subject.table == "images" for f in found.findings for subject in f.subjects)
 
 
 def _determined(truth: Bare, s: jb.blocks.Structure, rays: np.ndarray) -> np.ndarray:
@@ -60,7 +65,7 @@ def main() -> None:
     parser.add_argument("--seed", type=int, default=0)
     options = parser.parse_args()
     for kind in options.kinds.split(","):
-        good, silent, named, false, spent, worst_angle, worst_off = 0, [], [], [], 0.0, 0.0, 0.0
+        good, doubted, silent, named, false, spent, worst_angle, worst_off = 0, 0, [], [], [], 0.0, 0.0, 0.0
         for k in range(options.blocks):
             rng = np.random.default_rng([options.seed, KINDS.index(kind), k])
             truth = bare(*scene(kind, rng), options.wrong, rng)
@@ -71,9 +76,10 @@ def main() -> None:
             right = found.complete and ends_at_the_minimum(found, truth)
             worst_angle, worst_off = max(worst_angle, np.nanmax(angle)), max(worst_off, np.nanmax(off))
             good += right
+            doubted += right and said(found)
             if not right:
-                told = "told" if not found.complete else "silent"
-                silent += [k] if found.complete else []
+                told = "silent" if not said(found) else "told"
+                silent += [] if said(found) else [k]
                 worst = f"{np.nanmax(angle):.3g} deg, {np.nanmax(off):.3g}" if np.isfinite(angle).any() else "none"
                 print(
                     f"  {kind} {k}: {told}, {len(found.loose)} loose, {len(found.parts)} parts, worst {worst}",
@@ -83,7 +89,7 @@ def main() -> None:
             false.append(found.suspect_rays[~truth.wrong].mean())
         rays = f"wrong rays named {100 * np.mean(named):.1f} %, right rays named {100 * np.mean(false):.1f} %"
         print(
-            f"{kind}: {good} of {options.blocks} succeed, silent {silent}; {rays};"
+            f"{kind}: {good} of {options.blocks} succeed ({doubted} of them doubted), silent {silent}; {rays};"
             f" worst start {worst_angle:.2f} deg, {100 * worst_off:.1f} % of the distance;"
             f" {spent / options.blocks:.2f} s of processor time per block",
             flush=True,

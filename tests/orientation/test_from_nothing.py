@@ -16,6 +16,7 @@ from jaxbundle.orientation import from_nothing
 from jaxbundle.orientation.approximation import Way
 from jaxbundle.orientation.checked_start import with_checked_start
 from jaxbundle.orientation.robust_intersection import Rays, apart
+from jaxbundle.orientation.scale_joints import without_scale
 from jaxbundle.orientation.to_object import Basis
 
 SOON = 0.02  # of the distance, 1 deg: the adjustment converges from there
@@ -312,6 +313,15 @@ def test_points_whose_rays_diverge():
     np.testing.assert_array_equal(found.behind, [False, True, False])
     np.testing.assert_allclose(found.points[1], [1.0, 0, 10.0], atol=1e-9)
     assert (found.points[[0, 2], 2] < 0).all()
+
+
+def test_a_joint_of_few_points_leaves_the_scale_open():
+    """Six images in a strip; two points carry the scale over from the first three to the last three."""
+    triples = [(0, 1, 2)] * 5 + [(1, 2, 3)] * 2 + [(2, 3, 4)] * 5 + [(3, 4, 5)] * 5
+    image, point = np.array(triples).ravel(), np.repeat(np.arange(len(triples)), 3)
+    np.testing.assert_array_equal(without_scale(image, point, np.ones(6, bool)), [True, True, *[False] * 4])
+    third = np.concatenate([image, [1, 2, 3]]), np.concatenate([point, [17] * 3])
+    assert not without_scale(*third, np.ones(6, bool)).any()
 
 
 @pytest.mark.thorough
