@@ -1,4 +1,4 @@
-"""A photogrammetric bundle adjuster in JAX, with derivatives through everything.
+"""A photogrammetric bundle adjuster in JAX, differentiable with respect to all input values.
 
     import jax; jax.config.update("jax_enable_x64", True)
     import jaxbundle as jb
@@ -26,7 +26,10 @@ The names of every day stand here, all others in namespaces:
     plot            pictures in matplotlib
     textbook        printed formulas as witnesses, laws of accuracy
 
-Names are loaded when they are first used: the help of the command line does not wait for JAX.
+In the examples of docstrings `block` is `jb.read("quarry")`, the block that `jaxbundle new quarry` writes, `result` is
+`jb.adjust(block)`, and `plan`, `flight`, `prediction` are those of a flight of three images.
+
+Names are imported when they are first used: the help of the command line does not wait for JAX.
 """
 
 from jaxbundle.numerics.lazy_names import lazy_names

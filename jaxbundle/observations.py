@@ -1,6 +1,6 @@
 """Observations that are not image points: their kinds, and groups of them in a block.
 
-kinds       CONTROL, STATIONS, GNSS, ATTITUDES, PARAMETERS, LINES, PLANES, DISTANCES; geodetic_kind for
+kinds       CONTROL, STATIONS, GNSS_STATIONS, ATTITUDES, PARAMETERS, LINES, PLANES, DISTANCES; geodetic_kind for
             other measurements between points and images, interior_priors for interior elements
 groups      observation_group makes an ObservationGroup of observations of one kind
 own kinds   ObservationKind(name, labels, kinds of members, residual)

@@ -4,7 +4,7 @@ from jaxbundle.block.geodetic import (
     PLANES as PLANES,
     geodetic_kind as geodetic_kind,
 )
-from jaxbundle.block.navigation import ATTITUDES as ATTITUDES, GNSS as GNSS
+from jaxbundle.block.navigation import ATTITUDES as ATTITUDES, GNSS_STATIONS as GNSS_STATIONS
 from jaxbundle.block.observation_kinds import (
     CONTROL as CONTROL,
     PARAMETERS as PARAMETERS,

@@ -1,1 +1,1 @@
-"""The model of a block: structure and values, observations, unknowns, datum, what must hold of it."""
+"""The model of a block: structure and values, observations, unknowns, datum, and its validation."""

@@ -1,8 +1,8 @@
-"""A photogrammetric block: cameras, images, object points and everything observed.
+"""A photogrammetric block: cameras, images, object points and all observations.
 
-Structure and values are apart. `Structure` (names, who sees what, which elements are unknown) is host data and static
-under jit; the values (coordinates, angles, interior elements, observations and their sigmas) are the leaves of `Block`,
-a pytree. So an adjustment can be traced, differentiated and vmapped in every value.
+Structure and values are separate. `Structure` (names, indices of images and points, which elements are unknown) is host
+data and static under jit. The values (coordinates, angles, interior elements, observations and their sigmas) are the
+leaves of the pytree `Block`. So an adjustment can be traced, differentiated and vmapped with respect to all values.
 
 Units: object coordinates and image coordinates in the user's units, angles in radians.
 """
@@ -17,6 +17,7 @@ from jaxtyping import Array, Bool, Float, Int
 
 from jaxbundle.block.facade import Facade
 from jaxbundle.block.findings import Finding
+from jaxbundle.block.notebook import result_html
 from jaxbundle.block.observation_kinds import ObservationGroup
 from jaxbundle.block.wording import counted
 from jaxbundle.camera.fiducials import InnerOrientation
@@ -24,46 +25,54 @@ from jaxbundle.camera.model import CameraModel, mixture
 from jaxbundle.geometry.rotation import OMEGA_PHI_KAPPA, RotationSystem
 from jaxbundle.numerics.host import array_module, freeze_arrays, is_concrete, on_device, on_host
 
+MAX_CAMERAS = 5  # named where a block shows itself
 CENTRE_ELEMENTS = ("X0", "Y0", "Z0")
-DISTANCES, COORDINATES = ("principal_distance", "f"), ("x0", "y0")  # interior elements that are lengths in the image
+DISTANCES, COORDINATES = (
+    ("principal_distance", "f"),
+    ("x0", "y0"),
+)  # interior elements with the unit of image coordinates
 
 
 @dataclass(frozen=True)
 class Camera:
-    """One camera's host data. `image_unit` "px" (v down) or "mm" (y up); sizes in px, None where unknown."""
+    """Static data of one camera. `image_unit`: "px" (v down) or "mm" (y up); sizes in px, None where unknown."""
 
     name: str
     model: CameraModel
     image_unit: str = "px"
     width: int | None = None
     height: int | None = None
-    metric: bool = False  # a px camera whose principal distance is in mm: it has a pixel size
+    principal_distance_in_mm: bool = False  # a px camera with a pixel size
 
     def unit_of(self, element: str) -> str:
-        """Unit of an interior element, "" of one without a unit, as most coefficients are."""
-        if element in COORDINATES:  # of the principal point, in the unit of the rays even where there is a pixel size
+        """Unit of an interior element; "" without a unit, such as for most coefficients."""
+        if element in COORDINATES:  # elements of the principal point, in the unit of the rays also with a pixel size
             return self.image_unit
-        return ("mm" if self.metric else self.image_unit) if element in DISTANCES else ""
+        return ("mm" if self.principal_distance_in_mm else self.image_unit) if element in DISTANCES else ""
 
 
 class Owner(NamedTuple):
-    """Whose a parameter is: a row of a table, such as ("planes", "roof"), or the group of a section, ("navigation",
-    "strip 1")."""
+    """The owner of a parameter.
+
+    A row of a table, such as ("planes", "roof"), or a navigation group, such as ("navigation", "strip 1").
+    """
 
     table: str
     name: str
 
     @property
     def words(self) -> str:
-        """The owner in a sentence: "plane roof"; of a navigation group its name alone."""
+        """The owner in a sentence: "plane roof"; for a navigation group only its name."""
         return self.name if self.table == "navigation" else f"{self.table.removesuffix('s')} {self.name}"
 
 
 @dataclass(frozen=True)
 class Parameter:
-    """An unknown that is no coordinate, angle or interior element, as a shift of the navigation data; `unit` as the
-    user reads it, "" where it has none; `angle`: it is one, in radians inside. `owner`: what it belongs to, if it is
-    not an unknown of its own; several parameters may have the same one."""
+    """An unknown that is not a coordinate, angle or interior element, such as a shift of navigation data.
+
+    `unit`: unit in reports, "" if there is none; `angle`: whether it is an angle, internally in radians. `owner`: the
+    object that it describes, if any; several parameters may have the same owner.
+    """
 
     name: str
     unit: str = ""
@@ -74,15 +83,16 @@ class Parameter:
 
 @dataclass(frozen=True)
 class Datum:
-    """What fixes origin, axes and scale.
+    """The datum, which fixes origin, axes and scale.
 
-    `kind`: "control" (control points and observed stations), "fixed" (elements the user holds), "minimal" (7 elements
-    chosen by the package), "inner" (free network), "open" (nothing yet). `held` names (image, element).
+    `kind`: "control" (control points and observed stations), "fixed" (elements that the user fixes), "minimal" (7
+    elements chosen by the package), "inner" (free network), "open" (not yet defined). `held`: the fixed elements as
+    (image, element).
 
-    `carriers`: what gives the system of a datum by control, in words.
+    `carriers`: words for the observations that define a datum of kind "control".
 
-    Of a free network: `points` that carry the inner constraints, all if empty; `constraints`, their number, is 0 until
-    the package has chosen what it holds meanwhile.
+    For a free network: `points` of the inner constraints, all points if empty. `constraints`, their number, is 0 until
+    the package has chosen elements that it fixes temporarily.
     """
 
     kind: str
@@ -102,16 +112,18 @@ class Datum:
         for image, element in self.held:
             elements.setdefault(image, []).append(element)
         held = "; ".join(f"image {image}: {', '.join(names)}" for image, names in elements.items())
-        return f"{self.kind}, held at their approximate values: {held}"
+        return f"{self.kind}, fixed at their approximate values: {held}"
 
 
 @dataclass(frozen=True, eq=False)
 class Structure:
-    """Names, incidences and which elements are unknown. Compared by identity: static under jit, so its arrays are
-    read-only; `dataclasses.replace` makes a changed structure.
+    """The static part of a block: names, indices, and which elements are unknown.
 
-    `exterior_free` orders X0, Y0, Z0 and the three angles of `rotation_system`; `interior_free` orders the elements of
-    each camera's model, padded with False.
+    Structures are compared by identity, because they are static under jit. Therefore their arrays are read-only;
+    `dataclasses.replace` makes a changed structure.
+
+    Columns of `exterior_free` are X0, Y0, Z0 and the three angles of `rotation_system`; columns of `interior_free` are
+    the elements of each camera's model, padded with False.
     """
 
     name: str
@@ -131,33 +143,35 @@ class Structure:
     angle_unit: str = "deg"
     parameters: tuple[Parameter, ...] = ()
     source: str = ""
-    findings: tuple[Finding, ...] = ()  # what reading and preparing the block found
-    inner_orientations: tuple[InnerOrientation, ...] = ()  # fits that brought the rays of scanned film from px to mm
+    findings: tuple[Finding, ...] = ()  # findings of reading and preparing the block
+    inner_orientations: tuple[
+        InnerOrientation, ...
+    ] = ()  # fits that transformed the rays of scanned film from px to mm
 
     def __post_init__(self) -> None:
         freeze_arrays(self)
 
     @property
     def exterior_elements(self) -> tuple[str, ...]:
-        """X0, Y0, Z0 and the names of the angles."""
+        """Names of the exterior elements: X0, Y0, Z0 and the three angles."""
         return (*CENTRE_ELEMENTS, *self.rotation_system.angles)
 
     @cached_property
     def model(self) -> CameraModel:
-        """The one camera model of all rays; where cameras differ, their mixture."""
+        """The common camera model of all rays; a mixture if cameras have different models."""
         return mixture(tuple(camera.model for camera in self.cameras))
 
     @cached_property
     def interior_columns(self) -> tuple[int, ...]:
-        """Positions of the interior elements that some camera estimates."""
+        """Indices of the interior elements that any camera estimates."""
         return tuple(int(k) for k in np.nonzero(self.interior_free.any(0))[0])
 
     @cached_property
     def ray_repeat(self) -> Int[np.ndarray, " ray"]:
-        """Number of rays of the same image and point before each ray: 0 unless the point is measured again there."""
+        """Number of earlier rays with the same image and point, for each ray: 0 for the first measurement."""
         pair = self.ray_point.astype(np.int64) * len(self.image_names) + self.ray_image
         repeat = np.zeros(len(pair), np.int64)
-        if not (np.diff(pair) > 0).all():  # else they are in order and differ
+        if not (np.diff(pair) > 0).all():  # otherwise all are in order and different
             order = np.argsort(pair, kind="stable")
             repeat[order] = np.arange(len(pair)) - np.searchsorted(pair[order], pair[order])
         repeat.setflags(write=False)
@@ -165,11 +179,11 @@ class Structure:
 
     @property
     def parameter_free(self) -> Bool[np.ndarray, " parameter"]:
-        """Which parameters are unknown."""
+        """Mask of the unknown parameters."""
         return np.array([parameter.free for parameter in self.parameters], bool)
 
     @property
-    def unknowns(self) -> int:
+    def n_unknowns(self) -> int:
         """N: number of unknown elements."""
         masks = self.exterior_free, self.interior_free, self.parameter_free, self.point_free
         return int(sum(mask.sum() for mask in masks))
@@ -183,13 +197,13 @@ class ExteriorOrientation(eqx.Module):
 
 
 class InteriorOrientation(eqx.Module):
-    """Interior elements of every camera, in the order of its model, padded with ones."""
+    """Interior elements of each camera, in the order of its model, padded with ones."""
 
     elements: Float[Array, "camera element"]
 
 
 class Rays(eqx.Module):
-    """What is measured of each ray, image coordinates of photographs, and the standard deviations of its residuals."""
+    """Measurements of each ray (image coordinates, for photographs) and the standard deviations of its residuals."""
 
     coordinates: Float[Array, "ray number"]
     """In the unit of the camera's rays."""
@@ -197,7 +211,7 @@ class Rays(eqx.Module):
 
 
 class CheckPoints(eqx.Module):
-    """Known coordinates that take no part in the adjustment; NaN where a coordinate is not known."""
+    """Known coordinates that are not used in the adjustment; NaN where a coordinate is unknown."""
 
     coordinates: Float[Array, "check 3"]
     sigmas: Float[Array, "check 3"]
@@ -226,8 +240,24 @@ class Block(Facade):
         counts += [f"{count} {name}" for name, count in others.items()]
         return f"<Block {s.name or '(unnamed)'}: {', '.join(counts)}>"
 
+    def _repr_html_(self) -> str:
+        s = self.structure
+        cameras = [f"{camera.name} ({camera.model.name})" for camera in s.cameras[:MAX_CAMERAS]]
+        more = f" and {len(s.cameras) - MAX_CAMERAS} more" if len(s.cameras) > MAX_CAMERAS else ""
+        others = [f"{group.count} {group.structure.kind.table}" for group in self.groups]
+        rows = [
+            ("images", str(len(s.image_names))),
+            ("cameras", ", ".join(cameras) + more),
+            ("object points", f"{len(s.point_names)}, of which {len(s.check_point)} are check points"),
+            ("rays", str(len(s.ray_image))),
+            ("other observations", ", ".join(others) or "none"),
+            ("datum", str(s.datum)),
+            ("units", f"object {s.object_unit}, angles {s.angle_unit}"),
+        ]
+        return result_html(f"Block {s.name or '(unnamed)'}", rows, ())
+
     @property
-    def observations(self) -> int:
+    def n_observations(self) -> int:
         """M: number of observed values."""
         return self.structure.model.components * len(self.structure.ray_image) + sum(
             group.count for group in self.groups
@@ -235,10 +265,10 @@ class Block(Facade):
 
     @property
     def redundancy(self) -> int:
-        """M - N, and the constraints of a free network whose elements are all unknown."""
+        """M - N, plus the number of constraints of a free network in which all elements are unknown."""
         structure = self.structure
         inner = 0 if structure.datum.held else structure.datum.constraints
-        return self.observations - structure.unknowns + inner
+        return self.n_observations - structure.n_unknowns + inner
 
     @property
     def concrete(self) -> bool:
@@ -246,7 +276,7 @@ class Block(Facade):
         return is_concrete(self)
 
     def moved(self, shift: Float[Array | np.ndarray, "3"]) -> "Block":
-        """The same block in an object system whose origin lies at -shift: every coordinate grows by `shift`."""
+        """The same block in a shifted object system: `shift` is added to all object coordinates."""
         shift = on_host(shift)
 
         def moved(coordinates: Float[Array, "entity 3"]) -> Float[Array, "entity 3"]:

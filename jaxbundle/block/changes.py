@@ -1,4 +1,4 @@
-"""Changes of what is unknown and of what is observed in a block."""
+"""Changes of the unknowns and of the observations of a block."""
 
 import dataclasses
 from collections.abc import Iterable
@@ -13,7 +13,7 @@ from jaxbundle.numerics.host import on_device, on_host
 
 
 def with_findings(block: Block, findings: Iterable[Finding]) -> Block:
-    """The block with more findings of its own."""
+    """The block with additional findings."""
     structure = block.structure
     return dataclasses.replace(
         block, structure=dataclasses.replace(structure, findings=in_order([*structure.findings, *findings]))
@@ -21,14 +21,14 @@ def with_findings(block: Block, findings: Iterable[Finding]) -> Block:
 
 
 def with_interior_held(block: Block) -> Block:
-    """The block with every interior element of its cameras held at its value."""
+    """The block with all interior elements fixed at their values."""
     require_a(Block, block, "blocks.with_interior_held")
     structure = dataclasses.replace(block.structure, interior_free=np.zeros_like(block.structure.interior_free))
     return dataclasses.replace(block, structure=structure)
 
 
 def without_ray(block: Block, ray: int) -> Block:
-    """The block without a ray; a point that is left with one ray and nothing else is left out with it."""
+    """The block without a ray; a point with only one remaining ray and no other observation is removed too."""
     structure = block.structure
     point = structure.ray_point[ray]
     keep = np.ones(len(structure.ray_image), bool)
@@ -44,7 +44,7 @@ def without_ray(block: Block, ray: int) -> Block:
 
 
 def _is_touched(block: Block, point: int) -> bool:
-    """Whether an observation other than a ray touches the point."""
+    """Whether an observation other than a ray refers to the point."""
     return any(
         (group.structure.indices[:, k] == point).any()
         for group in block.groups
@@ -54,7 +54,7 @@ def _is_touched(block: Block, point: int) -> bool:
 
 
 def _without_point(block: Block, point: int) -> Block:
-    """The block without a point that nothing touches."""
+    """The block without a point that has no observations."""
     s = block.structure
     keep = np.arange(len(s.point_names)) != point
     number = np.cumsum(keep) - 1

@@ -1,6 +1,6 @@
-"""Whether a block put together by hand is one: types, shapes, index ranges, names and functions, all told at once.
+"""Checking the consistency of a block: types, shapes, index ranges, names and functions; all problems at once.
 
-What is found here makes every other look at the block meaningless, so nothing else is looked at before.
+These problems make all other checks meaningless, so these checks come first.
 """
 
 from collections.abc import Iterator, Sequence
@@ -26,26 +26,26 @@ NUMBERS = {
 }
 
 
-# structures that were looked at; their arrays are read-only
+# structures that were already checked; their arrays are read-only
 _CONSISTENT: "WeakSet[Structure]" = WeakSet()
 
 
 def require_consistent(block: Block) -> None:
-    """Raises BlockError with everything that keeps the parts of a block from fitting together."""
+    """Raises BlockError with all inconsistencies between the parts of a block."""
     problems = inconsistencies(block)
     if problems:
         raise BlockError(problems)
 
 
 def inconsistencies(block: Block) -> list[Problem]:
-    """What does not fit together in a block; the values of its arrays take no part, and may be traced."""
+    """Inconsistencies of a block; the values of its arrays are not used and may be traced."""
     structure = block.structure
     if not isinstance(structure, Structure):
         return [Problem(f"the structure is {_type(structure)}, not a Structure", "build a jb.blocks.Structure")]
     known = structure in _CONSISTENT
     names = [] if known else [*_names(structure)] or [*_descriptions(structure)] or [*_models(structure)]
     if names:
-        return names  # without names and models there are no counts
+        return names  # without names and models the counts are unknown
     found = [] if known else [*_incidences(structure), *_masks(structure)]
     found += [*_values(block), *_groups(block)]
     found = found or [*_interior(block), *_datum(structure)]
@@ -64,7 +64,7 @@ def _type(value: Any) -> str:
 
 
 def _names(s: Structure) -> Iterator[Problem]:
-    """Names and cameras: their types, and each name once."""
+    """Problems of names and cameras: their types, and repeated names."""
     for table, values, kind in (
         ("images", s.image_names, str),
         ("points", s.point_names, str),
@@ -86,13 +86,13 @@ def _names(s: Structure) -> Iterator[Problem]:
             more = len(names) - len(set(names))
             yield Problem(
                 f"the name {twice!r} is given twice, {more} of {len(names)} names repeat others",
-                "give every one a name of its own",
+                "give each one a different name",
                 table,
             )
 
 
 def _descriptions(s: Structure) -> Iterator[Problem]:
-    """What describes the block and its cameras in words."""
+    """Problems of the descriptions of the block and its cameras."""
     for what, value, allowed in (
         ("angle_unit", s.angle_unit, ANGLE_UNITS),
         *((f"image_unit of camera {camera.name}", camera.image_unit, IMAGE_UNITS) for camera in s.cameras),
@@ -109,7 +109,10 @@ def _descriptions(s: Structure) -> Iterator[Problem]:
         ("inner_orientations", s.inner_orientations, tuple),
         *((f"width of camera {camera.name}", camera.width, int | None) for camera in s.cameras),
         *((f"height of camera {camera.name}", camera.height, int | None) for camera in s.cameras),
-        *((f"metric of camera {camera.name}", camera.metric, bool) for camera in s.cameras),
+        *(
+            (f"principal_distance_in_mm of camera {camera.name}", camera.principal_distance_in_mm, bool)
+            for camera in s.cameras
+        ),
     ):
         if not isinstance(value, kind):
             wanted = getattr(kind, "__name__", "number of px, or None")
@@ -117,7 +120,7 @@ def _descriptions(s: Structure) -> Iterator[Problem]:
 
 
 def _array_problem(what: str, value: Any, shape: tuple[int, ...], wanted: str, axes: str) -> Problem | None:
-    """What is wrong with an array of `wanted` numbers: "float", "integer" or "bool"; `axes` explains its shape."""
+    """Problems of an array of `wanted` numbers: "float", "integer" or "bool"; `axes` explains its shape."""
     if not hasattr(value, "shape") or not hasattr(value, "dtype"):
         return Problem(f"{what} is {_type(value)}, not an array", f"give an array of shape {shape}, {axes}")
     if tuple(value.shape) != shape:
@@ -125,21 +128,21 @@ def _array_problem(what: str, value: Any, shape: tuple[int, ...], wanted: str, a
     kind, numbers = NUMBERS[wanted]
     if not jnp.issubdtype(value.dtype, kind):
         return Problem(f"{what} is an array of {value.dtype}", f"give an array of {numbers}")
-    # a host array is turned to the precision in use, one of JAX keeps what it has
+    # a host array is converted to the precision in use, an array of JAX has its own precision
     if wanted == "float" and jnp.finfo(value.dtype).bits < jnp.finfo(jnp.result_type(float)).bits:
         return Problem(f"{what} is an array of {value.dtype}, too coarse for an adjustment", "give float64")
     return None
 
 
 def _index_problems(what: str, index: Any, size: int, table: str, of: str) -> list[Problem]:
-    """Indices outside of a table, as one problem; `what` names row {}, `of` what it names."""
+    """Indices outside a table, as one problem; `what`: words for row {}, `of`: words for a row of the table."""
     if not isinstance(index, np.ndarray):
         return [Problem(f"the indices of {of}s are {_type(index)}", "give a numpy array: indices are static", table)]
     wrong = np.flatnonzero((index < 0) | (index >= size))
     if len(wrong) == 0:
         return []
     row = int(wrong[0])
-    more = f", and {len(wrong) - 1} more alike" if len(wrong) > 1 else ""
+    more = f", and {len(wrong) - 1} more similar ones" if len(wrong) > 1 else ""
     there = "are" if size != 1 else "is"
     return [
         Problem(
@@ -152,7 +155,7 @@ def _index_problems(what: str, index: Any, size: int, table: str, of: str) -> li
 
 
 def _indices(what: str, value: Any, rows: int | None, size: int, table: str, of: str) -> Iterator[Problem]:
-    """A row of indices: its shape, its type and its range."""
+    """Problems of an array of indices: its shape, its type and its range."""
     rows = len(value) if rows is None and getattr(value, "ndim", 0) == 1 else rows or 0
     wrong = _array_problem(f"{what} (indices of {of}s)", value, (rows,), "integer", f"one index for each {table[:-1]}")
     if wrong:
@@ -162,7 +165,7 @@ def _indices(what: str, value: Any, rows: int | None, size: int, table: str, of:
 
 
 def _incidences(s: Structure) -> Iterator[Problem]:
-    """Who sees what."""
+    """Problems of the indices of images, points and cameras."""
     images, points, cameras = len(s.image_names), len(s.point_names), len(s.cameras)
     rays = len(s.ray_image) if getattr(s.ray_image, "ndim", 0) == 1 else 0
     yield from _indices("image_camera", s.image_camera, images, cameras, "images", "camera")
@@ -172,7 +175,7 @@ def _incidences(s: Structure) -> Iterator[Problem]:
 
 
 def _masks(s: Structure) -> Iterator[Problem]:
-    """What is unknown."""
+    """Problems of the masks of unknown elements."""
     elements = max(len(camera.model.elements) for camera in s.cameras)
     columns = max(elements, _columns(s.interior_free))
     for what, value, shape, axes in (
@@ -182,13 +185,13 @@ def _masks(s: Structure) -> Iterator[Problem]:
     ):
         wrong = _array_problem(what, value, shape, "bool", axes)
         if wrong or not isinstance(value, np.ndarray):
-            yield wrong or Problem(f"{what} is {_type(value)}", "give a numpy array: what is unknown is static")
+            yield wrong or Problem(f"{what} is {_type(value)}", "give a numpy array: masks of unknowns are static")
         elif what == "interior_free":
             yield from _held_elements(s)
 
 
 def _held_elements(s: Structure) -> Iterator[Problem]:
-    """Interior elements that are unknown although the camera has none there, or that define its unit."""
+    """Problems of free interior elements that the camera does not have, or that define its unit."""
     for row, (camera, free) in enumerate(zip(s.cameras, s.interior_free, strict=True)):
         elements = camera.model.elements
         beyond = [f"number {k + 1}" for k in np.flatnonzero(free) if k >= len(elements)]
@@ -203,27 +206,27 @@ def _held_elements(s: Structure) -> Iterator[Problem]:
 
 
 def _columns(mask: Any) -> int:
-    """Columns of a matrix; 0 of what is none."""
+    """Number of columns of a matrix; 0 for other objects."""
     shape = getattr(mask, "shape", ())
     return shape[1] if len(shape) == 2 else 0
 
 
 def _models(s: Structure) -> Iterator[Problem]:
-    """The cameras' models, each once."""
+    """Problems of the cameras' models, each model once."""
     wrong = [p for p in {id(c.model): _model_problem(c) for c in s.cameras}.values() if p]
     sensors = {} if wrong else {(c.model.numbers, c.model.components): c.name for c in s.cameras}
     if len(sensors) > 1:
         what = f"cameras {' and '.join(sensors.values())} measure different numbers of coordinates of a ray"
-        wrong = [Problem(what, "adjust photographs and independent models as blocks of their own", "cameras")]
+        wrong = [Problem(what, "adjust photographs and independent models as separate blocks", "cameras")]
     yield from wrong
 
 
 def _model_problem(camera: Camera) -> Problem | None:
-    """What is wrong with a camera's model."""
+    """Problems of a camera's model."""
     if not isinstance(camera.model, CameraModel):
         return Problem(
             f"the model of camera {camera.name} is {_type(camera.model)}, not a CameraModel",
-            'take one of jb.cameras.CAMERA_MODELS, as CAMERA_MODELS["brown"], or build a jb.cameras.CameraModel',
+            'take one of jb.cameras.CAMERA_MODELS, such as CAMERA_MODELS["brown"], or build a jb.cameras.CameraModel',
             "cameras",
         )
     wrong = model_defect(camera.model)
@@ -237,7 +240,7 @@ def _model_problem(camera: Camera) -> Problem | None:
 
 
 def _values(block: Block) -> Iterator[Problem]:
-    """The arrays of values, against the counts of the structure."""
+    """Problems of the arrays of values, compared with the counts of the structure."""
     s, n = block.structure, _counts(block.structure)
     rays, check = len(np.atleast_1d(s.ray_image)), len(np.atleast_1d(s.check_point))
     width, sensor = _columns(s.interior_free), s.cameras[0].model
@@ -261,9 +264,9 @@ def _values(block: Block) -> Iterator[Problem]:
 
 
 def _groups(block: Block) -> Iterator[Problem]:
-    """The observations that are no rays."""
+    """Problems of the groups of observations."""
     if not isinstance(block.groups, tuple):
-        yield Problem(f"groups is {_type(block.groups)}", "give a tuple, of one ObservationGroup for each kind")
+        yield Problem(f"groups is {_type(block.groups)}", "give a tuple with one ObservationGroup for each kind")
         return
     for number, group in enumerate(block.groups):
         if not isinstance(group, ObservationGroup):
@@ -273,7 +276,7 @@ def _groups(block: Block) -> Iterator[Problem]:
         elif not isinstance(group.structure.kind, ObservationKind):
             yield Problem(
                 f"the kind of group {number} is {_type(group.structure.kind)}",
-                "take one, as jb.observations.CONTROL, or build a jb.observations.ObservationKind",
+                "take one, such as jb.observations.CONTROL, or build a jb.observations.ObservationKind",
             )
         else:
             found = [*_group_arrays(block.structure, group)]
@@ -281,7 +284,7 @@ def _groups(block: Block) -> Iterator[Problem]:
 
 
 def _group_arrays(s: Structure, group: ObservationGroup) -> Iterator[Problem]:
-    """Shapes and indices of one group."""
+    """Problems of shapes and indices of one group."""
     kind, indices = group.structure.kind, group.structure.indices
     texts = kind.components, kind.touches, kind.constants
     if not (isinstance(kind.name, str) and isinstance(kind.table, str)) or not all(map(_are_names, texts)):
@@ -322,7 +325,7 @@ def _are_names(names: Any) -> bool:
 
 
 def _kind_problems(s: Structure, group: ObservationGroup) -> Iterator[Problem]:
-    """The function of a kind, with as many interior elements as a touched camera has."""
+    """Problems of the function of a kind, with the number of interior elements of the touched camera."""
     kind = group.structure.kind
     wrong = kind_defect(kind, len(s.model.elements))
     if wrong:
@@ -335,7 +338,7 @@ def _kind_problems(s: Structure, group: ObservationGroup) -> Iterator[Problem]:
 
 
 def _interior(block: Block) -> Iterator[Problem]:
-    """Enough columns for the elements of every model."""
+    """Problems of missing columns for the elements of a model."""
     have = block.interior.elements.shape[1]
     for row, camera in enumerate(block.structure.cameras):
         need = len(camera.model.elements)
@@ -349,7 +352,7 @@ def _interior(block: Block) -> Iterator[Problem]:
 
 
 def _datum(s: Structure) -> Iterator[Problem]:
-    """The datum and what it names."""
+    """Problems of the datum and of its names."""
     kind, held, points = s.datum.kind, s.datum.held, s.datum.points
     if not isinstance(kind, str) or kind not in DATUMS:
         given = repr(kind) if isinstance(kind, str) else _type(kind)
@@ -360,7 +363,11 @@ def _datum(s: Structure) -> Iterator[Problem]:
         yield Problem("the datum has parts of a wrong type", "give tuples of names, and an integer", "datum")
         return
     if not all(isinstance(pair, tuple) and len(pair) == 2 for pair in held):
-        yield Problem("what the datum holds is no pair", 'give pairs of names, as ("image", "X0")', "datum")
+        yield Problem(
+            "the fixed elements of the datum are not pairs of names",
+            'give pairs of names, such such as ("image", "X0")',
+            "datum",
+        )
         return
     yield from _unknown("point", s.datum.points, s.point_names)
     yield from _unknown("image", [image for image, _ in s.datum.held], s.image_names)
@@ -368,8 +375,8 @@ def _datum(s: Structure) -> Iterator[Problem]:
 
 
 def _unknown(what: str, names: Sequence[str], there: Sequence[str]) -> Iterator[Problem]:
-    """Names of the datum that the block does not have."""
+    """Problems of names of the datum that are not in the block."""
     missing = [name for name in names if name not in there] if names else []
     if missing:
         more = f" and {len(missing) - 1} more" if len(missing) > 1 else ""
-        yield Problem(f"the datum names {what} {missing[0]!r}{more}, which the block does not have", "drop it", "datum")
+        yield Problem(f"the datum names {what} {missing[0]!r}{more}, which is not in the block", "drop it", "datum")

@@ -1,5 +1,4 @@
-"""The datum of a block: by control and observed stations, by elements that the user holds, minimal, or by inner
-constraints, a free network."""
+"""The datum of a block: control and stations, fixed elements, minimal, or inner constraints."""
 
 import dataclasses
 
@@ -12,11 +11,11 @@ from jaxbundle.block.derived import derived
 from jaxbundle.block.given import require_a
 from jaxbundle.block.problems import BlockError, Problem
 
-WEAK = 1e-3  # change of an element that hardly defines a direction, in units of the block's radius or in radians
+WEAK = 1e-3  # minimum change of an element that defines a direction, in units of the block's radius or in radians
 
 
 def is_located(block: Block) -> bool:
-    """Whether any coordinate of the object system is observed or held."""
+    """Whether any coordinate of the object system is observed or fixed."""
     structure = block.structure
     return bool(
         (~structure.point_free).any()
@@ -26,12 +25,13 @@ def is_located(block: Block) -> bool:
 
 
 def with_datum(block: Block) -> Block:
-    """The block with its datum defined: by control, as held by the user, or by a minimal set chosen here.
+    """Returns the block with a defined datum: by control, by elements that the user fixes, or by a minimal set.
 
-    The minimal datum holds all six elements of the first image and, unless a distance gives the scale, that coordinate
-    of another image which differs most from the first one's; where observations give more, as plumb lines the vertical,
-    those of these elements which define best what they leave open. A free network is adjusted in it too; its inner
-    constraints are brought in afterwards by an S-transformation.
+    The minimal datum fixes all six elements of the first image. Unless a distance determines the scale, it also fixes
+    the coordinate of another image that differs most from the first one's. If observations determine more, such as
+    plumb lines the vertical, only those of these elements are fixed that best define the undetermined rest. A free
+    network is first adjusted in the minimal datum; the result is transformed to inner constraints by an
+    S-transformation.
 
     Raises: BlockError where control exists but leaves a part of the datum undetermined.
     """
@@ -67,7 +67,7 @@ def with_datum(block: Block) -> Block:
 
 
 def _carriers(block: Block) -> tuple[str, ...]:
-    """What is observed or held in the object system."""
+    """Words for the objects that are observed or fixed in the object system."""
     words = {"point": "control points", "image": "observed stations"}
     kinds = [group.structure.kind for group in block.groups if group.structure.kind.in_object_system and group.count]
     held = ["control points"] if (~block.structure.point_free).any() else []
@@ -75,7 +75,7 @@ def _carriers(block: Block) -> tuple[str, ...]:
 
 
 def _minimal(block: Block) -> list[tuple[int, int]]:
-    """Image and element of those that define what is open, as many as that is."""
+    """Image and element of the elements that define the undetermined directions, one element for each direction."""
     centres = np.asarray(block.exterior.projection_centre)
     other, axis = (int(k) for k in np.unravel_index(np.argmax(np.abs(centres - centres[0])), centres.shape))
     elements = [*((0, k) for k in range(6)), (other, axis)]
@@ -83,7 +83,7 @@ def _minimal(block: Block) -> list[tuple[int, int]]:
     count = moved.shape[1]
     if count == len(elements):
         return elements
-    # rows are chosen one after the other, each with the largest part at right angles to those before it
+    # rows are chosen one after the other, each with the maximum component orthogonal to the rows before it
     *_, order = scipy.linalg.qr(moved[:6].T, pivoting=True, mode="economic")
     if np.linalg.svd(moved[:6], compute_uv=False)[count - 1] < WEAK:
         *_, order = scipy.linalg.qr(moved.T, pivoting=True, mode="economic")
@@ -91,23 +91,23 @@ def _minimal(block: Block) -> list[tuple[int, int]]:
 
 
 def _require_inner(defect: DatumDefect, count: int) -> None:
-    """Raises BlockError where observations leave less open than origin and axes, or parameters move with them."""
-    cure = 'leave out the observations that do so, or give type = "minimal" in [datum]'
+    """Raises BlockError if observations determine a part of origin and axes, or if parameters change with them."""
+    cure = 'leave out these observations, or give type = "minimal" in [datum]'
     if count < 6 or (count == 6 and defect.scale):
-        what = f"a free network needs origin and axes to be open, and the observations leave {defect.words}"
-    elif defect.parameters:
         what = (
-            f"origin and axes of a free network are open, and {', '.join(defect.parameters[:3])} would move with them"
+            f"a free network requires that no observation determines origin and axes; undetermined here: {defect.words}"
         )
+    elif defect.parameters:
+        what = f"the axes of a free network are undetermined, and {', '.join(defect.parameters[:3])} change with them"
     else:
         return
     raise BlockError([Problem(what, cure, "datum")])
 
 
 def inner_needs_none() -> Problem:
-    """The problem of inner constraints where the datum is defined otherwise."""
+    """The problem of inner constraints if the datum is also defined otherwise."""
     return Problem(
-        "the inner constraints of a free network and control, observed stations or held elements exclude each other",
+        "the inner constraints of a free network and control, observed stations or fixed elements exclude each other",
         'make the control points check points, or drop type = "inner" of [datum]',
         "control",
     )

@@ -1,18 +1,18 @@
-"""The datum defect: what of origin (3), axes (3) and scale (1) of the object system the observations leave open.
+"""The datum defect: which of origin (3), axes (3) and scale (1) of the object system are not determined.
 
 A similarity transformation with the seven small parameters (t, r, m), about the block's centre of gravity and in units
 of its radius,
 
     X' = X + t + r x X + m X,        R' = (I + [r]) R
 
-leaves every image point where it is. So the datum is defined exactly by those rows that do change: control
-coordinates, observed stations, distances, held elements. These rows may depend on parameters p of their own too, as a
-shift of the navigation data, which can undo what the transformation does to them:
+does not change any image point. So the datum is defined exactly by the rows that do change: control coordinates,
+observed stations, distances, fixed elements. These rows may also depend on parameters p, such as a shift of the
+navigation data, which can compensate for the effect of the transformation:
 
     A = [dv/d(t, r, m)  dv/dp]        defect = 7 + number of p - rank A
 
-The derivatives come from autodiff, whatever kinds of observation there are. They are taken at the observed coordinates
-of points and stations, not at approximate ones: whether control lies on a line is a property of the control.
+The derivatives are computed by autodiff for any kind of observation. They are taken at the observed coordinates of
+points and stations, not at approximate ones: whether control lies on a line is a property of the control.
 """
 
 from dataclasses import dataclass
@@ -41,16 +41,16 @@ from jaxbundle.numerics.compilation import Compiled
 from jaxbundle.numerics.host import on_device
 from jaxbundle.numerics.shapes import grid_size
 
-AT_REST = 1e-6  # of the radius: a place that a transformation leaves where it is
-MOST_NAMED = 3
+AT_REST = 1e-6  # share of the radius: a position with a smaller displacement is at rest
+MAX_NAMED = 3
 
 
 @dataclass(frozen=True)
 class DatumDefect:
-    """What the observations leave undetermined of the datum; `count` includes combinations of the block's parameters.
+    """The undetermined part of the datum; `count` includes combinations of the block's parameters.
 
-    `parameters`: those of the block's own parameters that take part; `moves`: the points that move most; `fixed`:
-    observed points and images that do not move at all, as control points on the axis of a rotation.
+    `parameters`: names of parameters of the block that are involved; `moves`: points with the maximum displacements;
+    `fixed`: observed points and images without displacement, such as control points on the axis of a rotation.
     """
 
     count: int
@@ -93,10 +93,11 @@ def _datum_rows(
     held: Int[Array, " image"],
     radius: Float[Array, ""],
 ) -> tuple[Float[Array, "row column"], Float[Array, "weighted_row column"]]:
-    """Derivatives of what carries the datum by the seven parameters and the block's own: of held elements and of
-    observations in units of the block's radius, and of observations with their weights.
+    """Derivatives of fixed elements and observations with respect to the datum and the parameters.
 
-    `fixed`, `held`: points and images of which an element is held; what of them is free counts nothing.
+    The rows are in units of the block's radius; those of observations are also returned with their weights.
+
+    `fixed`, `held`: points and images with a fixed element; the rows of their free elements are 0.
     """
     o = observations
 
@@ -116,13 +117,13 @@ def _datum_rows(
 
 
 def _is_observed(group: Group) -> Bool[Array, "component member"]:
-    """Which components are observed: those with a weight of their own."""
+    """Mask of the observed components, which have a weight."""
     own = group.weights if group.weights.ndim == 2 else jnp.diagonal(group.weights).T
     return own > 0
 
 
 def _padded_indices(mask: Bool[np.ndarray, " entity"]) -> Int[Array, " padded"]:
-    """Where the mask is true; the first entity, which counts nothing if it is free, fills up."""
+    """Indices where the mask is true, padded with the first entity, whose rows are 0 if it is free."""
     index = np.nonzero(mask)[0]
     padded = np.full(grid_size(len(index)), np.argmin(mask))
     padded[: len(index)] = index
@@ -130,7 +131,7 @@ def _padded_indices(mask: Bool[np.ndarray, " entity"]) -> Int[Array, " padded"]:
 
 
 class DatumEquations(NamedTuple):
-    """Rows of held elements and of observations by (t, r, m) and the block's parameters; which of these are free."""
+    """Derivatives of fixed elements and observations with respect to (t, r, m) and the parameters, with a mask."""
 
     fixed: Float[np.ndarray, "held column"]
     observed: Float[np.ndarray, "row column"]
@@ -139,9 +140,9 @@ class DatumEquations(NamedTuple):
 
 
 def datum_equations(block: Block) -> DatumEquations | None:
-    """What carries the datum, at the observed places; None where nothing is observed or held.
+    """The rows that define the datum, at the observed positions; None where nothing is observed or fixed.
 
-    A row without a finite derivative, as the azimuth of a plumb line, tells nothing: it is 0.
+    A row without a finite derivative, such as the azimuth of a plumb line, is set to 0.
     """
     structure = block.structure
     fixed, held = (~structure.point_free).sum(1) > 0, (~structure.exterior_free).sum(1) > 0
@@ -168,16 +169,16 @@ def datum_equations(block: Block) -> DatumEquations | None:
 
 
 def null_space(block: Block) -> Float[np.ndarray, "column defect"]:
-    """Directions of (t, r, m) and of the block's parameters that no observation and no held element notices."""
+    """Directions of (t, r, m) and of the block's parameters that no observation and no fixed element determines."""
     equations = datum_equations(block)
     if equations is None:
         free = np.concatenate([np.ones(7, bool), block.structure.parameter_free])
         return np.eye(len(free))[:, free]
     free, rows = equations.free, np.concatenate([equations.fixed, equations.observed])
-    # an angle and a length count alike: what is not mere rounding is brought to the length 1
+    # angles and lengths count equally: rows above the rounding level are scaled to the length 1
     size = np.linalg.norm(rows, axis=1, keepdims=True)
     rows = np.where(size > RANK_TOLERANCE * size.max(initial=0.0), rows / np.where(size > 0, size, 1.0), 0.0)
-    # a parameter counts in its own unit: its column is brought to the length of those of the seven
+    # the unit of a parameter is arbitrary: its column is scaled to the length of the columns of the seven
     length = np.concatenate([np.ones(7), np.linalg.norm(rows[:, 7:], axis=0)])
     scale = np.where(free & (length > 0), 1 / np.where(length > 0, length, 1.0), 1.0)
     found = null_space_of((rows * scale)[:, free])
@@ -187,7 +188,7 @@ def null_space(block: Block) -> Float[np.ndarray, "column defect"]:
 
 
 def datum_defect(block: Block) -> DatumDefect:
-    """What the control, the observed stations, the distances and the held elements leave undetermined."""
+    """The datum defect that control, observed stations, distances and fixed elements leave."""
     require_a(Block, block, "blocks.datum_defect")
     directions = null_space(block)
     names = [parameter.name for parameter in block.structure.parameters]
@@ -200,7 +201,7 @@ def datum_defect(block: Block) -> DatumDefect:
 
 
 def sensitivity(block: Block, elements: list[tuple[int, int]]) -> Float[np.ndarray, "element defect"]:
-    """How elements of images, given as image and its element, change along the directions that are open.
+    """Derivatives of elements of images, given as (image, element), along the undetermined directions.
 
     Coordinates in units of the block's radius, angles in radians.
     """
@@ -220,12 +221,12 @@ def sensitivity(block: Block, elements: list[tuple[int, int]]) -> Float[np.ndarr
 
 
 def _moved_and_fixed(block: Block, datum: Float[np.ndarray, "7 defect"]) -> tuple[tuple[str, ...], tuple[str, ...]]:
-    """The object points that the undetermined directions move most, and observed points and stations that rest."""
+    """Points with the maximum displacement along undetermined directions, and observed points and stations at rest."""
     frame, structure = frame_of(block), block.structure
     points = np.asarray(frame.block.object_points)
     moved = np.linalg.norm(displacements(datum, points, frame.radius), axis=(0, 2))
     moved = np.where(np.isfinite(moved), moved, -1.0)
-    most = tuple(structure.point_names[p] for p in np.argsort(-moved, kind="stable")[:MOST_NAMED])
+    most = tuple(structure.point_names[p] for p in np.argsort(-moved, kind="stable")[:MAX_NAMED])
     places = observed_places(block)
     size = np.linalg.norm(
         displacements(datum, np.array([place for *_, place in places]).reshape(-1, 3) - frame.centre, frame.radius),
@@ -235,23 +236,23 @@ def _moved_and_fixed(block: Block, datum: Float[np.ndarray, "7 defect"]) -> tupl
 
 
 def _shortened(names: tuple[str, ...]) -> str:
-    return ", ".join(names[:MOST_NAMED]) + (" ..." if len(names) > MOST_NAMED else "")
+    return ", ".join(names[:MAX_NAMED]) + (" ..." if len(names) > MAX_NAMED else "")
 
 
 def insufficient(defect: DatumDefect) -> Problem:
-    """The problem of a datum that control determines in part."""
+    """The problem of a datum that control determines only partly."""
     own = ""
     if defect.parameters:
-        own = f"; parameters that take part: {_shortened(defect.parameters)}"
+        own = f"; parameters involved: {_shortened(defect.parameters)}"
     if len(defect.fixed) > 1 and len(defect.similarity.axes) == 1 and defect.count == 1:
         own += f"; these lie on one line, the axis: {_shortened(defect.fixed)}"
-    moves = f"; points that would move most: {', '.join(defect.moves)}" if defect.moves else ""
+    moves = f"; points with the maximum displacements: {', '.join(defect.moves)}" if defect.moves else ""
     cure = (
         "a block needs at least two points with X, Y, Z and a third one with Z that is not on a line with them,"
         " or observed stations that are not on one line"
     )
     if defect.parameters:
-        cure += "; hold the parameters or give them a value with a sigma, or add control"
+        cure += "; fix the parameters or give them a value with a sigma, or add control"
     return Problem(
         f"the control leaves {defect.count} of the {7 if not defect.parameters else 'datum and navigation'} parameters"
         f"{' of the datum' if not defect.parameters else ''} undetermined: {defect.words}{own}{moves}",

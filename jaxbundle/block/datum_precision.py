@@ -1,11 +1,11 @@
-"""How well control, observed stations and distances determine the datum: covariance of the seven parameters.
+"""Precision of the datum from control, observed stations and distances: covariance of the seven parameters.
 
-Rays tell nothing of a similarity transformation of the whole block, so its precision follows from the other
-observations alone, by the rows A of the datum defect with their weights P:
+Rays do not depend on a similarity transformation of the whole block, so its precision follows only from the
+other observations, from the rows A of the datum defect with their weights P:
 
-    Q = (A^T P A)^-1        of (t, r, m) and the block's own parameters, held coordinates as constraints
+    Q = (A^T P A)^-1        of (t, r, m) and the block's parameters, with fixed coordinates as constraints
 
-It needs no normal equations of the block, and is there without standard deviations of the unknowns too.
+It needs no normal equations of the block, and is available without standard deviations of the unknowns.
 """
 
 from typing import NamedTuple
@@ -20,9 +20,11 @@ from jaxbundle.block.observed_places import Frame, frame_of, observed_places
 from jaxbundle.block.similarity_defect import SimilarityDefect, displacements, similarity_defect
 from jaxbundle.block.wording import named
 
-LARGEST_ANGLE = np.deg2rad(10.0)  # standard deviation: beyond, propagation of errors of first order is wrong by 1.5 %
-LARGEST_SHARE = 0.1  # standard deviation of a place, of the block's radius: no map of any scale is drawn from it
-AT_REST = 0.05  # of the largest displacement: places that carry the axis of a rotation
+# standard deviation of a rotation: above this, error propagation of first order is wrong by 1.5 %
+MAX_ANGLE = np.deg2rad(10.0)
+# standard deviation of a position in the block as a share of its radius: above this no map is possible
+MAX_SHARE = 0.1
+AT_REST = 0.05  # share of the maximum displacement: positions on the axis of a rotation
 
 
 class DatumPrecision(NamedTuple):
@@ -33,7 +35,7 @@ class DatumPrecision(NamedTuple):
 
 
 def datum_precision(block: Block) -> DatumPrecision | None:
-    """Precision of the datum of a block; None where it has a defect, or is nothing but held elements."""
+    """Precision of the datum of a block; None where it has a defect, or consists only of fixed elements."""
     equations = datum_equations(block)
     if equations is None or not equations.weighted.size:
         return None
@@ -57,9 +59,9 @@ def datum_precision(block: Block) -> DatumPrecision | None:
 
 
 def weak_datum(block: Block, sigma0: float) -> tuple[Finding, ...]:
-    """A finding where the weakest direction of the datum has no usable standard deviation.
+    """A finding if the weakest direction of the datum has no usable standard deviation.
 
-    `sigma0` enlarges no sigma: large residuals have other causes, which are found elsewhere.
+    `sigma0` does not enlarge the sigmas: large residuals have other causes and other findings.
     """
     if block.structure.datum.kind != "control":
         return ()
@@ -69,18 +71,25 @@ def weak_datum(block: Block, sigma0: float) -> tuple[Finding, ...]:
     factor = min(sigma0, 1.0) if np.isfinite(sigma0) else 1.0
     frame, points = precision.frame, np.asarray(precision.frame.block.object_points)
     points = points[np.isfinite(points).all(1)]
-    values, vectors = np.linalg.eigh(factor**2 * precision.covariance)
-    worst = vectors[:, -1:] * np.sqrt(max(values[-1], 0.0))
-    moved = np.linalg.norm(displacements(worst, points, frame.radius)[0], axis=1)
     extent = float(np.median(np.linalg.norm(points - np.median(points, 0), axis=1)))
-    angle = float(np.linalg.norm(worst[3:6]))
-    if angle <= LARGEST_ANGLE and np.median(moved) <= LARGEST_SHARE * extent:
+    values, vectors = np.linalg.eigh(factor**2 * precision.covariance)
+    directions = (vectors * np.sqrt(np.maximum(values, 0.0)))[:, ::-1]  # the weakest first
+    moves = displacements(directions, points, frame.radius)
+    for direction, move in zip(directions.T, moves, strict=True):
+        angle, inside = float(np.linalg.norm(direction[3:6])), np.linalg.norm(move - move.mean(0), axis=1)
+        if angle > MAX_ANGLE or np.median(inside) > MAX_SHARE * extent:
+            moved = float(np.linalg.norm(move, axis=1).max())
+            return (_finding(block, direction[:, None], moved, angle, Severity.FAILED),)
+    whole = np.linalg.norm(moves[0], axis=1)
+    if np.median(whole) <= MAX_SHARE * extent:
         return ()
-    return (_finding(block, worst, float(moved.max()), angle),)
+    # a translation of the whole block leaves its shape and its attitude as precise as they are
+    angle = float(np.linalg.norm(directions[3:6, 0]))
+    return (_finding(block, directions[:, :1], float(whole.max()), angle, Severity.CHECK),)
 
 
-def _finding(block: Block, worst: Float[np.ndarray, "7 1"], moved: float, angle: float) -> Finding:
-    """The weakest direction in words, as the similarity transformation that it mostly is."""
+def _finding(block: Block, worst: Float[np.ndarray, "7 1"], moved: float, angle: float, severity: Severity) -> Finding:
+    """The weakest direction in words, as the dominating part of a similarity transformation."""
     unit = block.structure.object_unit
     places = observed_places(block)
     frame = frame_of(block)
@@ -96,14 +105,14 @@ def _finding(block: Block, worst: Float[np.ndarray, "7 1"], moved: float, angle:
         f"control and observed stations determine {what} with a standard deviation of {sized} only:"
         f" points are uncertain by up to {moved:.3g} {unit}"
     )
-    cure = "add control, or observed stations, away from the line of those that are there"
+    cure = "add control, or observed stations, away from the line of the existing ones"
     subjects = tuple(Subject("control" if table == "point" else "stations", (name,)) for table, name, _ in resting)
-    return Finding(Kind.IMPRECISE, what, cure, subjects, moved, unit, Severity.FAILED)
+    return Finding(Kind.IMPRECISE, what, cure, subjects, moved, unit, severity)
 
 
 def similarity_words(direction: Float[np.ndarray, "7 1"]) -> tuple[str, bool]:
-    """The parameter that a direction mostly is, and whether that is a rotation."""
-    # a rotation or a change of scale about a place off the centre comes with a shift of the centre
+    """The dominating parameter of a direction, and whether it is a rotation."""
+    # a rotation or a change of scale about a position off the centre also shifts the centre
     shares = [1e-3 * np.linalg.norm(direction[:3]), np.linalg.norm(direction[3:6]), abs(float(direction[6, 0]))]
     kind, unit = int(np.argmax(shares)), np.zeros(7)
     rows = (slice(0, 3), slice(3, 6), slice(6, 7))[kind]

@@ -1,9 +1,9 @@
-"""Depths: how far the points lie in front of the cameras that see them.
+"""Depths of points: their distances in front of the cameras.
 
     p_z = (a3, b3, c3) . (X - X0),        R = [a; b; c] from the photograph to the object system
 
-The camera looks along -z, so p_z < 0 in front of it. The collinearity equations do not see this sign: they hold for
-the whole line of a ray.
+The camera looks along -z, so p_z < 0 in front of it. The collinearity equations do not depend on this sign: they are
+valid for the whole line of a ray.
 """
 
 import numpy as np
@@ -14,7 +14,7 @@ from jaxbundle.block.unknowns import unknowns_of
 
 
 def viewing_directions(block: Block) -> Float[np.ndarray, "image 3"]:
-    """Unit vectors along which the cameras look, object system."""
+    """Unit vectors of the viewing directions of the cameras, object system."""
     return -np.asarray(unknowns_of(block).rotation).reshape(3, 3, -1)[:, 2].T
 
 
@@ -27,7 +27,7 @@ def depths(block: Block) -> Float[np.ndarray, " ray"]:
 
 
 def behind(block: Block) -> Bool[np.ndarray, " ray"]:
-    """Rays whose point does not lie in front of the camera; none where the sensors are not photographs."""
+    """Indices of rays whose point is not in front of the camera; none for sensors other than photographs."""
     if not block.structure.model.photographs:
         return np.zeros(len(block.structure.ray_image), bool)
     return ~(depths(block) > 0)

@@ -1,7 +1,7 @@
-"""Structures that are made of others: the same change of the same structure is the same object.
+"""Changed structures: the same change of the same structure returns the same object.
 
-Compiled programs and plans are found again by the identity of a structure. So one that is derived anew for every
-adjustment, as by the choice of a datum, must not be a new one every time.
+Compiled programs and plans are looked up by the identity of a structure. Therefore a change that each adjustment
+repeats, such as the choice of a datum, must not create a new structure each time.
 """
 
 import dataclasses
@@ -12,14 +12,14 @@ import numpy as np
 
 from jaxbundle.block.block import Structure
 
-REMEMBERED = 4  # changes of one structure
+REMEMBERED = 4  # maximum number of changes of one structure
 
-# a structure does not know those derived from it, nor they it: all go when the last block that has the first one goes
+# weak references in both directions: all are deleted with the last block that has the first structure
 _DERIVED: "WeakKeyDictionary[Structure, list[Structure]]" = WeakKeyDictionary()
 
 
 def derived(structure: Structure, **changes: Any) -> Structure:
-    """The structure with some fields changed; itself where they are what it has."""
+    """The structure with changed fields; the structure itself if nothing differs."""
     if _has(structure, changes):
         return structure
     known = _DERIVED.setdefault(structure, [])

@@ -1,6 +1,6 @@
 """The design matrix of a whole block, dense: residuals as a function of the corrections of all unknowns, by autodiff.
 
-Observations follow the tables of an adjustment, row by row: the rays first, then every group.
+Observations are in the order of the tables of an adjustment, row by row: first the rays, then each group.
 """
 
 from collections.abc import Callable
@@ -16,11 +16,12 @@ from jaxbundle.block.residuals import Observations, weighted_residuals
 from jaxbundle.block.unknowns import Correction, Unknowns, corrected
 
 COLUMNS_AT_ONCE = 32
-MAX_UNKNOWNS = 3000  # of a dense design matrix: with 10 000 observations it takes 240 MB, its normal matrix 72 MB
+# maximum number of unknowns of a dense design matrix: with 10 000 observations it needs 240 MB, N needs 72 MB
+MAX_UNKNOWNS = 3000
 
 
 class Corrections(NamedTuple):
-    """Corrections of everything that may be unknown; angles are small ones about the attitudes reached."""
+    """Corrections of all elements that may be unknown; angles are small angles relative to the current attitudes."""
 
     exterior: Float[Array, "6 image"]
     interior: Float[Array, "column camera"]
@@ -29,7 +30,7 @@ class Corrections(NamedTuple):
 
 
 def free_masks(o: Observations) -> tuple[Array, ...]:
-    """Which elements are free, in the shapes of `Corrections`."""
+    """Masks of the free elements, in the shapes of `Corrections`."""
     return o.exterior_free, o.interior_free, o.parameter_free, o.point_free
 
 
@@ -39,7 +40,7 @@ def no_corrections(o: Observations) -> Corrections:
 
 
 def after_corrections(unknowns: Unknowns, o: Observations, corrections: Corrections) -> Unknowns:
-    """The unknowns after corrections; what is fixed may be corrected too."""
+    """The unknowns after corrections; fixed elements may be corrected too."""
     interior = jnp.zeros_like(unknowns.interior).at[np.array(o.columns, int)].set(corrections.interior)
     correction = Correction(corrections.exterior, interior, corrections.parameters, corrections.points)
     return corrected(unknowns, correction, o.in_angles, o.system)
@@ -56,19 +57,19 @@ def residuals_after(unknowns: Unknowns, o: Observations) -> Callable[[Correction
 
 
 def elements(o: Observations) -> int:
-    """Number of elements that may be unknown."""
+    """Number of all elements that may be unknown."""
     return sum(mask.size for mask in free_masks(o))
 
 
 class FreeElements(NamedTuple):
-    """Numbers of the free elements, in chunks padded with a number beyond the last; how many there are."""
+    """Indices of the free elements, in chunks padded with an index beyond the last one, and their number."""
 
     chunks: Int[np.ndarray, "chunk at_once"]
     number: int
 
 
 def free_numbers(o: Observations) -> Int[np.ndarray, " free"]:
-    """Numbers of the free elements among all elements."""
+    """Indices of the free elements among all elements."""
     return np.flatnonzero(np.concatenate([np.ravel(mask) for mask in free_masks(o)]))
 
 
@@ -83,7 +84,7 @@ def free_elements(o: Observations) -> FreeElements:
 def design_columns(
     unknowns: Unknowns, o: Observations, free: Int[Array, "chunk at_once"]
 ) -> Float[Array, "column observation"]:
-    """Columns of A, 0 for a number beyond the last."""
+    """Columns of A, 0 for an index beyond the last one."""
     zero, unflatten = ravel_pytree(no_corrections(o))
     residuals = residuals_after(unknowns, o)
     _, linear = jax.linearize(lambda correction: residuals(unflatten(correction)), zero)

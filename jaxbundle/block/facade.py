@@ -1,4 +1,4 @@
-"""A block as its user meets it: made from tables, read by names, its values replaced by names."""
+"""The interface of a block for users: made from tables, read by names, values replaced by names."""
 
 from collections.abc import Mapping
 from typing import Any, Self
@@ -12,7 +12,7 @@ from jaxbundle.numerics.offered import offered
 
 
 class Facade(eqx.Module):
-    """What a block offers by names; `Block` has the values."""
+    """Base class with the methods of a block that use names; `Block` has the values."""
 
     structure: eqx.AbstractVar[Any]
     exterior: eqx.AbstractVar[Any]
@@ -37,7 +37,7 @@ class Facade(eqx.Module):
         check_start: bool = True,
         **tables: Any,
     ) -> Self:
-        """A block from tables in memory, with the columns of the block folder.
+        """Makes a block from tables in memory, with the columns of the block folder.
 
         A table is a polars or pandas frame, a mapping of column names to sequences, or the path of a CSV file. Empty
         fields are None or NaN. All checks and messages are those of the block folder; a message names table and row.
@@ -62,7 +62,7 @@ class Facade(eqx.Module):
             The block; approximate coordinates that are not given are intersected.
 
         Raises:
-            BlockError: with all that is wrong in settings and tables.
+            BlockError: with all problems of settings and tables.
 
         Example:
             block = jb.Block.from_tables(
@@ -102,7 +102,7 @@ class Facade(eqx.Module):
         sigmas: Mapping[str, Any] | None = None,
         **observations: Any,
     ) -> Self:
-        """The block with other values; its structure stays. The values may be tracers of jit, grad and vmap.
+        """Returns the block with other values and the same structure. Values may be tracers of jit, grad and vmap.
 
         Args:
             image_coordinates: One row per ray, in the unit of the camera.
@@ -157,7 +157,7 @@ class Facade(eqx.Module):
 
     @property
     def cameras(self) -> Named[CameraValues]:
-        """The cameras by name, their interior elements by theirs."""
+        """The cameras by name, with their interior elements by name."""
         return self.cameras_with(None)
 
     def cameras_with(self, deviations: Any) -> Named[CameraValues]:

@@ -1,12 +1,12 @@
-"""Findings: what is wrong with a block or its adjustment, or should be looked at, as objects; words are made last.
+"""Findings about a block or its adjustment (problems, suggestions, notes) as objects; words are made last.
 
     severity   what it means                                                     exit code of the command line
     FAILED     the result must not be used before this is cured                  1
-    CHECK      the result stands, a person should look at this                   0
-    NOTE       what was done or left out, or is good to know                     0
+    CHECK      the result is valid, but a person should check this               0
+    NOTE       actions of the program, or useful information                     0
 
-`Kind` is the table of verdicts: it lists everything that can be found, and how severe each is. One thing that is
-found is one `Finding`, whatever the number of rows it concerns; its subjects are the culprits, the worst first.
+`Kind` lists all kinds of findings with their severity. One problem is one `Finding`, independent of the number of
+rows; its subjects are the rows that cause it, the worst first.
 """
 
 import math
@@ -17,7 +17,7 @@ from typing import NamedTuple
 
 
 class Severity(IntEnum):
-    """How much a finding matters, the gravest first."""
+    """Severity of a finding, the most severe first."""
 
     FAILED = 0
     CHECK = 1
@@ -25,28 +25,28 @@ class Severity(IntEnum):
 
     @property
     def label(self) -> str:
-        """The word in front of a finding in a report."""
+        """The word before a finding in a report."""
         return ("failed", "check", "note")[self]
 
 
 class Kind(Enum):
-    """Everything that can be found, by name, with its severity. The order is that of a report: causes come first."""
+    """All kinds of findings, with words and severity. The order is that of a report: causes come first."""
 
-    # before the adjustment, from the numbers given
+    # before the adjustment, from the input values
     FORMAT = "rays and image format", Severity.FAILED
     INTERIOR = "implausible interior orientation", Severity.FAILED
     CONTROL_SYSTEM = "control and approximate values in different systems", Severity.FAILED
-    NOT_USED = "control or stations given and not used", Severity.FAILED
+    NOT_USED = "control or stations not used", Severity.FAILED
     PARTS = "block in several parts", Severity.FAILED
     LOOSE = "images without orientation", Severity.FAILED
     ASSUMED = "assumption of the start", Severity.CHECK
     START = "implausible approximate values", Severity.CHECK
     REPAIRED = "approximate values replaced", Severity.NOTE
-    APPROXIMATED = "approximate values found", Severity.NOTE
-    # who causes it
+    APPROXIMATED = "approximate values computed", Severity.NOTE
+    # causes
     SYSTEMATIC = "group that disagrees as a whole", Severity.CHECK
     SUSPECT = "suspect observation", Severity.CHECK
-    # how the adjustment ended
+    # end of the adjustment
     NOT_CONVERGED = "not converged", Severity.FAILED
     BEHIND = "points behind cameras", Severity.FAILED
     MIRRORED = "mirrored solution", Severity.FAILED
@@ -54,42 +54,42 @@ class Kind(Enum):
     UNDETERMINED = "undetermined unknowns", Severity.FAILED
     SIGMA0 = "residuals far beyond their sigmas", Severity.FAILED
     IMPRECISE = "unusable precision", Severity.FAILED
-    # what the residuals tell
+    # from the residuals
     DOWN_WEIGHTED = "small robust weights", Severity.CHECK
-    UNSETTLED = "robust weights not settled", Severity.CHECK
+    UNSETTLED = "robust weights not converged", Severity.CHECK
     GLOBAL_TEST = "sigma0 outside its limits", Severity.CHECK
     SIGMAS = "sigmas of a group", Severity.CHECK
     CHECK_POINTS = "check points", Severity.CHECK
-    # what the precision and the reliability tell
+    # from precision and reliability
     WEAK = "weakly determined unknowns", Severity.CHECK
     CORRELATED = "correlated unknowns", Severity.CHECK
     INSIGNIFICANT = "insignificant elements", Severity.CHECK
     UNCONTROLLED = "uncontrolled observations", Severity.CHECK
     REDUNDANCY = "small redundancy", Severity.CHECK
     TWO_RAYS = "points on two images", Severity.CHECK
-    # what takes no part
+    # unused data
     NO_PRECISION = "no standard deviations", Severity.NOTE
-    UNUSED = "rows that take no part", Severity.NOTE
+    UNUSED = "rows that are not used", Severity.NOTE
     INFORMATION = "information", Severity.NOTE
 
     @property
     def title(self) -> str:
-        """What it is about."""
+        """The kind in words."""
         return self.value[0]
 
     @property
     def severity(self) -> Severity:
-        """How severe it is unless the finding itself says otherwise."""
+        """Default severity of findings of this kind."""
         return self.value[1]
 
     @property
     def rank(self) -> int:
-        """Place in the order of a report; single culprits and groups stand in the order of their evidence."""
+        """Position in the order of a report; suspect groups and observations are in the order of their evidence."""
         return list(Kind).index(Kind.SUSPECT if self is Kind.SYSTEMATIC else self)
 
 
 class Subject(NamedTuple):
-    """What a finding is about: a table of the block folder, the names of a row and, if one is meant, a component.
+    """Subject of a finding: a table of the block folder, the names of a row and, for one component, its name.
 
     ("rays", ("8811", "333")) is image and point; ("control", ("422",), "Z"); ("cameras", ("scan",), "x0").
     """
@@ -101,11 +101,11 @@ class Subject(NamedTuple):
 
 @dataclass(frozen=True)
 class Finding:
-    """One thing that is found.
+    """One finding about a block or an adjustment.
 
-    `what` is a sentence without a full stop: what is wrong, where, how much with its unit. `cure`: what to do, "" where
-    there is nothing to do. `size` and `unit`: the number behind it, as the size of an error. `severity`: that of the
-    kind if it is not given.
+    `what` is a sentence without a full stop: what is wrong, where, and how much with its unit. `cure`: what to do, ""
+    if nothing. `size` and `unit`: the main number, such as the size of an error. `severity`: that of the kind by
+    default.
     """
 
     kind: Kind
@@ -118,21 +118,21 @@ class Finding:
 
     @property
     def severity(self) -> Severity:
-        """How severe it is."""
+        """The severity of this finding."""
         return self.kind.severity if self.grade is None else self.grade
 
     @property
     def words(self) -> str:
-        """What is wrong and the cure, one line."""
+        """Problem and cure in one line."""
         return f"{self.what}; {self.cure}" if self.cure else self.what
 
 
 def in_order(findings: Iterable[Finding]) -> tuple[Finding, ...]:
-    """Findings as they are reported: by severity, then causes before consequences; each sentence once."""
+    """Findings in the order of a report: by severity, causes before consequences; each sentence once."""
     distinct = dict.fromkeys(findings)
     return tuple(sorted(distinct, key=lambda finding: (finding.severity, finding.kind.rank)))
 
 
 def of_kind(findings: Iterable[Finding], *kinds: Kind) -> tuple[Finding, ...]:
-    """Those of some kinds."""
+    """The findings of some kinds."""
     return tuple(finding for finding in findings if finding.kind in kinds)

@@ -1,4 +1,4 @@
-"""The residuals of a camera model of the user at the approximate values: those that are not numbers are reported."""
+"""Checking the residuals of a user's camera model at the approximate values: numbers must be finite."""
 
 from collections.abc import Callable
 from functools import cache
@@ -17,11 +17,11 @@ from jaxbundle.camera.collinearity import photo_vector
 from jaxbundle.camera.model import CameraModel
 from jaxbundle.numerics.compilation import QUICKLY
 
-TRIED = 16  # rays of a camera: a model that is wrong is wrong for most of them
+TRIED = 16  # maximum number of rays per camera: a wrong model is wrong for most of them
 
 
 def unusable_models(block: Block) -> list[Problem]:
-    """Models that are not those of the package and give no numbers for the first rays of their camera."""
+    """Problems of camera models of the user that do not give finite numbers for the first rays."""
     s = block.structure
     own = [k for k, camera in enumerate(s.cameras) if named_model(camera.model) is None]
     if not own:

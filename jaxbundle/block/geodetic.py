@@ -9,16 +9,17 @@ With (dX, dY, dZ) from the first to the second,
     direction              A - o                    o: orientation of the set, an unknown
     zenith angle           z = atan2(h, dZ)
 
-and, with no observed value but a sigma,
+and, with a sigma but without an observed value,
 
     scale bar              s - b                    b: length of the bar, an unknown that may have a prior
     plumb line             (dX, dY)
     plane                  (a x + b y + z - d) / sqrt(1 + a^2 + b^2)
     line                   the two distances of (x, y, z) from the line through (p, q, 0) along (a, b, 1)
 
-where (x, y, z) = F^T (X - O) are coordinates in a fixed frame F at O, near to which plane (as x, y) or line (as z) lie.
+where (x, y, z) = F^T (X - O) are coordinates in a fixed frame F at O. A plane is near its x-y plane, a line near its z
+axis.
 
-All are as in a local plane system: over long lines they are to be reduced before (Torge & Mueller 2012, ch. 6).
+All refer to a local plane system: long lines must be reduced before the adjustment (Torge & Mueller 2012, ch. 6).
 """
 
 from functools import cache
@@ -30,7 +31,7 @@ from jaxbundle.block.observation_kinds import ObservationKind
 from jaxbundle.camera.collinearity import Vector, photo_vector
 from jaxbundle.geometry.rotation import Scalar
 
-FRAME = ("X", "Y", "Z", "a1", "a2", "a3", "b1", "b2", "b3", "c1", "c2", "c3")  # O, then F by rows
+FRAME = ("X", "Y", "Z", "a1", "a2", "a3", "b1", "b2", "b3", "c1", "c2", "c3")  # O, then the rows of F
 
 
 def position(entity: tuple) -> Vector:
@@ -112,7 +113,7 @@ def _line(
 ) -> tuple[Scalar, Scalar]:
     x, y, z = _local(point, frame)
     x, y = x - p, y - q
-    # (1, 0, -a) and (-a b, 1 + a^2, -b) are at right angles to (a, b, 1) and to each other
+    # (1, 0, -a) and (-a b, 1 + a^2, -b) are orthogonal to (a, b, 1) and to each other
     one, two = jnp.sqrt(1 + a**2), jnp.sqrt((1 + a**2) * (1 + a**2 + b**2))
     return (x - a * z) / one - observed[0], ((1 + a**2) * y - a * b * x - b * z) / two - observed[1]
 
@@ -127,12 +128,12 @@ _BETWEEN = {
     "scale_bars": (("length",), _scale_bar, ("parameter",)),
     "plumb_lines": (("dX", "dY"), _plumb_line, ()),
 }
-ANGLES = ("azimuths", "directions", "zenith_angles")  # observed in radians inside
+ANGLES = ("azimuths", "directions", "zenith_angles")  # internally observed in radians
 
 
 @cache
 def geodetic_kind(name: str, start: str = "point", end: str = "point") -> ObservationKind:
-    """A kind by the name of its table; `start` and `end` are "point" or "image".
+    """Returns a kind by the name of its table; `start` and `end` are "point" or "image".
 
     Raises: KeyError for an unknown name.
     """

@@ -1,4 +1,4 @@
-"""What a public function was given, checked in one sentence with its cure."""
+"""Checking the first argument of a public function, with a message of one sentence and its cure."""
 
 from pathlib import Path
 
@@ -6,13 +6,13 @@ from jaxbundle.block.block import Block
 
 
 def require_a(kind: type, given: object, function: str) -> None:
-    """Raises TypeError unless the first argument of a public function is of a kind: a Block, an Adjustment."""
+    """Raises TypeError unless the first argument of a public function has the expected type, such as Block."""
     if isinstance(given, kind):
         return
     path = f"jb.read({str(given)!r})" if isinstance(given, str | Path) else 'jb.read("folder")'
     if isinstance(getattr(given, "block", None), kind):
         name = type(given).__name__.lower()
-        cure = f"{name}.block"  # of an Adjustment, of a Simulation
+        cure = f"{name}.block"  # attribute of an Adjustment or a Simulation
     elif kind.__name__ == "Block":
         cure = path
     elif type(given).__name__ == "Block":
@@ -25,7 +25,7 @@ def require_a(kind: type, given: object, function: str) -> None:
 
 
 def require_photographs(block: Block, function: str) -> None:
-    """Raises ValueError unless the rays of a block are image points, for what other sensors have no equivalent of."""
+    """Raises ValueError unless the rays of a block are image points, for functions limited to photographs."""
     model = block.structure.model
     if not model.photographs:
         raise ValueError(

@@ -1,8 +1,8 @@
-"""Numbers that no survey gives: too large or too small for double precision, many full turns, lines of no length.
+"""Checking the magnitudes of numbers: too large or too small for double precision, many full turns, zero lengths.
 
-They are finite, and yet squares of them overflow, differences of them lose every digit, and directions along them are
-not defined. Each table is reported once, with its first row and the number of rows. Parameters and constants that are
-not finite, and covariances that are not those of a positive definite matrix, are reported row by row.
+Such numbers are finite, but their squares overflow, their differences lose all digits, or directions are undefined.
+Each table is reported once, with its first row and the number of rows. Parameters and constants that are not finite,
+and covariance matrices that are not positive definite, are reported row by row.
 """
 
 from collections.abc import Iterator, Sequence
@@ -17,20 +17,20 @@ from jaxbundle.block.observation_kinds import ObservationGroup
 from jaxbundle.block.problems import Problem
 from jaxbundle.block.wording import RADIANS
 
-LARGEST = 1e12  # of a coordinate in its unit: double precision then resolves 0.0001, and of sigmas
-SMALLEST = 1e-12  # of a sigma in its unit, radians for angles; finer than any instrument by far
-MAX_TURNS = 10  # of an angle: counted turns of a theodolite are few, and rounding of a large angle is felt
-LEVEL = ("azimuths", "directions", "horizontal_distances", "zenith_angles")  # take a horizontal distance
-SLOPE = ("distances", "scale_bars")  # take a distance in space
+LARGEST = 1e12  # maximum of a coordinate in its unit (double precision then resolves 0.0001), and of sigmas
+SMALLEST = 1e-12  # minimum of a sigma in its unit, radians for angles; far more precise than any instrument
+MAX_TURNS = 10  # of an angle: theodolites count few turns, and large angles lose digits
+LEVEL = ("azimuths", "directions", "horizontal_distances", "zenith_angles")  # kinds that need a horizontal distance
+SLOPE = ("distances", "scale_bars")  # kinds that need a distance in space
 
 
 def absurd_numbers(block: Block) -> list[Problem]:
-    """What is out of all proportion in a block of finite numbers whose parts fit together."""
+    """Problems of implausible magnitudes in a consistent block of finite numbers."""
     return [*_out_of_range(block), *_turned(block), *_without_length(block)]
 
 
 def _told(rows: Bool[np.ndarray, " row"], table: str, what: str, cure: str) -> Iterator[Problem]:
-    """One problem for all rows of a table; `what` is said of the first."""
+    """One problem for all rows of a table; `what` describes the first one."""
     wrong = np.flatnonzero(rows)
     if len(wrong):
         more = f", and of {len(wrong) - 1} more rows" if len(wrong) > 1 else ""
@@ -38,7 +38,7 @@ def _told(rows: Bool[np.ndarray, " row"], table: str, what: str, cure: str) -> I
 
 
 def _out_of_range(block: Block) -> Iterator[Problem]:
-    """Coordinates, sigmas, interior elements and times."""
+    """Problems of coordinates, sigmas, interior elements and times."""
     s = block.structure
     tables = [
         ("images", "projection centre", block.exterior.projection_centre),
@@ -59,25 +59,25 @@ def _out_of_range(block: Block) -> Iterator[Problem]:
             row = int(np.argmax(rows))
             what = f"the {name} {np.asarray(values)[row][size[row] > LARGEST][0]:.3g} is beyond {LARGEST:.0e}"
             yield from _told(
-                np.asarray(rows), table, what, f"correct it: in {s.object_unit} or px no survey reaches so far"
+                np.asarray(rows), table, what, f"correct it: in {s.object_unit} or px no survey has such coordinates"
             )
     for table, values in sigmas:
         values = np.asarray(values, float)
         out = (values < SMALLEST) | (values > LARGEST)
         if out.any():
             what = f"the standard deviation {values[out][0]:.3g} lies outside {SMALLEST:.0e} to {LARGEST:.0e}"
-            cure = "give the accuracy of the measurement; hold a value that is free of error instead"
+            cure = "give the accuracy of the measurement; fix a value without error instead"
             yield from _told(np.asarray(out.any(1)), table, what, cure)
 
 
 def _variances(group: ObservationGroup) -> Float[np.ndarray, "member component"]:
-    """Of the observed components; 1 for the others."""
+    """Sigmas of the observed components; 1 for the others."""
     variances = np.diagonal(np.asarray(group.covariances), axis1=1, axis2=2)
     return np.where(group.structure.observed, variances, 1.0)
 
 
 def _turned(block: Block) -> Iterator[Problem]:
-    """Angles of many full turns."""
+    """Problems of angles with many full turns."""
     unit = block.structure.angle_unit
     tables = [("images", np.asarray(block.exterior.angles))]
     for group in block.groups:
@@ -94,7 +94,7 @@ def _turned(block: Block) -> Iterator[Problem]:
 
 
 def _without_length(block: Block) -> Iterator[Problem]:
-    """Azimuths and distances between ends whose approximate values coincide: they have no direction there."""
+    """Problems of azimuths and distances between ends with equal approximate values: their direction is undefined."""
     ends = {"point": np.asarray(block.object_points), "image": np.asarray(block.exterior.projection_centre)}
     names = {"point": block.structure.point_names, "image": block.structure.image_names}
     for group in block.groups:
@@ -113,12 +113,12 @@ def _without_length(block: Block) -> Iterator[Problem]:
             what = (
                 f"{a} and {b} have the same approximate {same}, so the {kind.components[0]} between them is undefined"
             )
-            cure = "correct the names or the approximate coordinates; points one above the other are a plumb line"
+            cure = "correct the names or the approximate coordinates; vertical points belong to a plumb line"
             yield from _told(rows, kind.table, what, cure)
 
 
 def repeated_rows(block: Block) -> tuple[Finding, ...]:
-    """Rows that repeat another of their table to the last digit. They are adjusted as observations of their own."""
+    """The finding about rows that repeat another row to the last digit. All are used as observations."""
     found = []
     for group in block.groups:
         kind = group.structure.kind
@@ -131,8 +131,8 @@ def repeated_rows(block: Block) -> tuple[Finding, ...]:
             found.append(
                 Finding(
                     Kind.INFORMATION,
-                    f"{count} another one to the last digit; each counts as an observation of its own",
-                    "drop those that are copies, for they make the standard deviations too small",
+                    f"{count} another one to the last digit; each counts as a separate observation",
+                    "drop the copies: they make the standard deviations too small",
                     (Subject(kind.table),),
                     float(repeats),
                     "rows",
@@ -142,7 +142,7 @@ def repeated_rows(block: Block) -> tuple[Finding, ...]:
 
 
 def unusable_numbers(block: Block) -> list[Problem]:
-    """Parameters and constants that are no numbers, and covariances that are none; the block's values are concrete."""
+    """Problems of parameters and constants that are not finite, and of invalid covariances, in a concrete block."""
     s, found = block.structure, []
     for k in np.flatnonzero(~np.isfinite(np.asarray(block.parameters))):
         found.append(
@@ -154,13 +154,13 @@ def unusable_numbers(block: Block) -> list[Problem]:
             what = f"one of {', '.join(kind.constants)} is not a finite number"
             found.append(Problem(what, "give the number or drop the row", kind.table, int(row)))
         for row in _indefinite(group):
-            what = "the covariances are not those of a positive definite matrix"
-            found.append(Problem(what, "give a covariance matrix of positive eigenvalues", kind.table, int(row)))
+            what = "the covariance matrix is not positive definite"
+            found.append(Problem(what, "give a covariance matrix with positive eigenvalues", kind.table, int(row)))
     return found
 
 
 def _indefinite(group: ObservationGroup) -> Sequence[int]:
-    """Members whose observed components have no positive definite covariance matrix."""
+    """Indices of members whose observed components do not have a positive definite covariance matrix."""
     if group.covariances is None:
         return []
     observed = group.structure.observed
@@ -170,5 +170,5 @@ def _indefinite(group: ObservationGroup) -> Sequence[int]:
     safe = np.where(finite[:, None, None], matrices, np.eye(observed.shape[1]))
     roots = np.sqrt(np.maximum(np.diagonal(safe, axis1=1, axis2=2), np.finfo(float).tiny))
     smallest = np.linalg.eigvalsh(safe / roots[:, :, None] / roots[:, None, :])[:, 0]
-    # as correlations, of which one may fall below this by rounding alone
+    # eigenvalues of the correlation matrix: rounding alone may make one of them smaller than this
     return np.flatnonzero(~(finite & (smallest > np.finfo(float).eps))).tolist()

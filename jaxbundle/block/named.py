@@ -1,4 +1,4 @@
-"""Points, images and cameras by their names: what is known of each of them, as values of arrays.
+"""Points, images and cameras by name, with their values and standard deviations.
 
 block.points["20"].coordinates
 result.points["20"].standard_deviations
@@ -15,11 +15,11 @@ from jaxtyping import Array, Float
 from jaxbundle.block.problems import shown
 
 T = TypeVar("T")
-FIRST = 5  # names in a representation
+FIRST = 5  # maximum number of names in a representation
 
 
 class Named(Mapping[str, T], Generic[T]):
-    """Members of a block by name, made when they are asked for; iteration is in the order of the arrays."""
+    """Members of a block by name, created on access; iteration is in the order of the arrays."""
 
     def __init__(self, what: str, names: Sequence[str], make: Callable[[int], T]):
         self._what, self._names, self._make = what, names, make
@@ -42,7 +42,7 @@ class Named(Mapping[str, T], Generic[T]):
 
 
 class UnknownNameError(KeyError):
-    """A name that is not in the block, with the names that are like it."""
+    """The error for a name that is not in the block, with similar names."""
 
     def __init__(self, what: str, name: object, known: Sequence[str]):
         near = difflib.get_close_matches(str(name), known, n=3)
@@ -58,15 +58,15 @@ class UnknownNameError(KeyError):
 
 @dataclass(frozen=True)
 class PointValues:
-    """An object point. Standard deviations and covariance are None where there are none."""
+    """An object point with its precision. Standard deviations and covariance are None if not computed."""
 
     name: str
     coordinates: Float[Array, "3"]
     """X, Y, Z in the object unit."""
     standard_deviations: Float[Array, "3"] | None = None
-    """Of X, Y, Z; 0 for a coordinate that is fixed."""
+    """Standard deviations of X, Y, Z; 0 for a fixed coordinate."""
     covariance: Float[Array, "3 3"] | None = None
-    """sigma0^2 Q of X, Y, Z."""
+    """Covariance matrix sigma0^2 Q of X, Y, Z."""
 
 
 @dataclass(frozen=True)
@@ -81,9 +81,9 @@ class ImageValues:
     angles: Float[Array, "3"]
     """The three angles of the block's rotation system, in radians."""
     standard_deviations: Float[Array, "6"] | None = None
-    """Of X0, Y0, Z0 and the angles in radians; 0 for an element that is fixed."""
+    """Standard deviations of X0, Y0, Z0 and the angles in radians; 0 for a fixed element."""
     covariance: Float[Array, "6 6"] | None = None
-    """sigma0^2 Q of X0, Y0, Z0 and the angles."""
+    """Covariance matrix sigma0^2 Q of X0, Y0, Z0 and the angles."""
 
 
 class CameraValues(Mapping[str, Any]):
@@ -93,7 +93,7 @@ class CameraValues(Mapping[str, Any]):
         self.name = name
         """Name of the camera."""
         self.units = dict(zip(elements, units, strict=True))
-        """Unit of each element, "" where it has none."""
+        """Unit of each element, "" without unit."""
         self._elements = tuple(elements)
         self._values, self._deviations = values, deviations
 
@@ -111,7 +111,7 @@ class CameraValues(Mapping[str, Any]):
 
     @property
     def standard_deviations(self) -> dict[str, Any] | None:
-        """Standard deviations by element, 0 for one that is fixed; None where there are none."""
+        """Standard deviations of the elements, 0 for a fixed one; None if not computed."""
         if self._deviations is None:
             return None
         return {element: self._deviations[k] for k, element in enumerate(self._elements)}

@@ -1,10 +1,10 @@
-"""Navigation data: projection centres and attitudes observed in flight, and their systematic errors (003, R_i of 1.19).
+"""Navigation data: projection centres and attitudes observed in flight, with systematic errors (Text 003, R_i of 1.19).
 
     v = X0 + R l + s + s' t - X_observed              l: from projection centre to antenna, system of the photograph
     v = angles(R R_b) + a + a' t - angles_observed    R_b: from photograph to inertial unit, small angles b
 
 Shift s, a and drift s', a' belong to a strip or to the whole block, lever arm l and boresight b to a mounted camera.
-All are parameters of the block: unknown, held, or with a prior of their own. t is time, or what grows so.
+All are parameters of the block: unknown, fixed, or with a prior. t is time, or proportional to time.
 """
 
 from jaxbundle.block.geodetic import wrapped
@@ -38,8 +38,8 @@ def _alpha_omega_kappa(image: tuple[Vector, Rotation], *numbers) -> Vector:
 
 
 _TOUCHES = ("image", *["parameter"] * 9)
-# rows of one table with those observed stations that have no systematic errors
-GNSS = ObservationKind(
+# these rows share one table with observed stations without systematic errors
+GNSS_STATIONS = ObservationKind(
     "gnss_stations",
     ("X0", "Y0", "Z0"),
     _TOUCHES,

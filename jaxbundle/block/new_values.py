@@ -1,4 +1,4 @@
-"""Values of a block replaced by name; they may be tracers, so that jit, grad and vmap go through it."""
+"""Replacing values of a block by name; values may be tracers of jit, grad and vmap."""
 
 from collections.abc import Mapping, Sequence
 from typing import Any, TypeVar
@@ -12,11 +12,11 @@ from jaxbundle.block.named import UnknownNameError
 from jaxbundle.block.observation_kinds import ObservationGroup
 
 B = TypeVar("B", bound=eqx.Module)
-NAMED = {"point": "point_names", "image": "image_names"}  # what a row may be named by
+NAMED = {"point": "point_names", "image": "image_names"}  # entities whose names identify a row
 
 
 def with_arrays(block: B, arrays: Mapping[str, Any]) -> B:
-    """The block with other arrays: paths such as "rays.coordinates" and their new values, of the same shapes."""
+    """The block with other arrays, given as paths such as "rays.coordinates" with new values of the same shapes."""
     for path, new in arrays.items():
         if new is None:
             continue
@@ -71,12 +71,12 @@ def with_observations(block: Any, table: str, values: Any) -> Any:
     new = jnp.asarray(values)
     if new.shape != (rows[-1], *block.groups[numbers[0]].values.shape[1:]):
         shape = (int(rows[-1]), *block.groups[numbers[0]].values.shape[1:])
-        raise ValueError(f"{table} have the shape {new.shape}, not {shape}: one row per row of the table")
+        raise ValueError(f"{table} have the shape {new.shape}, not {shape}: give one row for each row of the table")
     return _with_groups(block, dict(zip(numbers, jnp.split(new, rows[:-1]), strict=True)))
 
 
 def with_sigmas(block: Any, sigmas: Mapping[str, Any]) -> Any:
-    """The block with other standard deviations, by table: arrays, or one number for all of it."""
+    """The block with other standard deviations, by table: arrays, or one number for the whole table."""
     for table, new in sigmas.items():
         if table == "rays":
             block = with_arrays(block, {"rays.sigmas": _spread(new, block.rays.sigmas)})
@@ -84,7 +84,7 @@ def with_sigmas(block: Any, sigmas: Mapping[str, Any]) -> Any:
         for k in _groups_of(block, table):
             old = block.groups[k]
             if old.covariances is not None:
-                raise ValueError(f"{table} have covariances; replace these in a group of their own")
+                raise ValueError(f"{table} have covariances; build a new group to replace them")
             block = eqx.tree_at(lambda b, k=k: b.groups[k].sigmas, block, _spread(new, old.sigmas))
     return block
 
@@ -146,7 +146,7 @@ def _named_rows(block: Any, number: int, values: Mapping[str, Any]) -> Array:
 
 
 def _with_fixed(block: Any, control: Mapping[str, Any]) -> tuple[Any, dict[str, Any]]:
-    """The block with other fixed coordinates, and the control points that are observed as well."""
+    """The block with other fixed coordinates, and the control points that are also observed."""
     s = block.structure
     observed = {name for k in _groups_of(block, "control", needed=False) for name in _row_names(block, k)}
     index = {name: k for k, name in enumerate(s.point_names)}

@@ -1,18 +1,19 @@
-"""Observations that are no image points: group III of the adjustment.
+"""Observations other than image points (group III of Text 001).
 
-A kind of observation is one differentiable function of the unknowns it touches and of its observed values,
+A kind of observation is one differentiable function of the touched unknowns and of the observed values,
 
     residual(touched_1, touched_2, ..., observed) -> (v_1, ..., v_k),        v = computed - observed
 
-written for one member, scalars in and scalars out; autodiff gives its rows of the design matrix. A kind with constants
-(a time, a point of reference) gets them as one argument more, behind the observed values. A touched entity comes as
+written for one member, with scalar arguments and scalar results; autodiff computes its rows of the design matrix. A
+kind with constants (a time, a reference point) receives them as an additional last argument. The argument of a touched
+entity is
 
     "point"      (X, Y, Z)
     "image"      (projection centre (X0, Y0, Z0), rotation (a1 ... c3))
     "camera"     (interior element, ...) in the order of the camera's model
-    "parameter"  one scalar: an unknown of its own, as a shift of the navigation data
+    "parameter"  one scalar: an additional unknown, such as a shift of the navigation data
 
-Nothing else in the package knows how many kinds there are.
+The rest of the package does not depend on the list of kinds.
 """
 
 from collections.abc import Callable
@@ -31,12 +32,13 @@ from jaxbundle.numerics.trial import defect
 
 @dataclass(frozen=True)
 class ObservationKind:
-    """`name` tells the kind from all others; `in_object_system`: observed values are object coordinates and move with
-    the origin.
+    """A kind of observation.
 
-    `constants` names the numbers each member has besides; those called X, Y, Z are object coordinates too. `angles`:
-    its components are angles, in radians here and in the angle unit of the block where a user reads them. `table`: the
-    table of a block folder that holds its rows, where that has another name than the kind.
+    `name` is unique; `in_object_system`: observed values are object coordinates, which a shift of the origin changes.
+
+    `constants`: names of additional numbers of each member; X, Y, Z are object coordinates. `angles`: whether its
+    components are angles, here in radians, in reports in the angle unit of the block. `table`: the table of a block
+    folder with its rows, if its name differs from that of the kind.
     """
 
     name: str
@@ -53,21 +55,21 @@ class ObservationKind:
             object.__setattr__(self, "table", self.name)
 
     def residuals(self, touched: tuple, observed: tuple[Scalar, ...], constants: tuple[Scalar, ...]) -> tuple:
-        """The residuals of a member, or of many whose scalars are arrays."""
+        """The residuals of a member, or of many members if the scalars are arrays."""
         return self.residual(*touched, observed, constants) if self.constants else self.residual(*touched, observed)
 
 
 def kind_defect(kind: ObservationKind, elements: int) -> str:
-    """What keeps a kind from being one, as the end of a sentence; "" if nothing. A kind is tried once.
+    """The problem of an invalid kind, as the end of a sentence; "" for a valid one. A kind is tried once.
 
-    `elements`: interior elements of a camera.
+    `elements`: number of interior elements of a camera.
     """
     if not callable(kind.residual):
         return f"is of type {type(kind.residual).__name__}, not a function"
     try:
         return _tried(kind, elements)
-    except TypeError:  # what is static in a program must have a hash
-        return "cannot be hashed: its names are no tuples, or it is an object that holds arrays or lists"
+    except TypeError:  # static arguments of a program must have a hash
+        return "cannot be hashed: its names are not tuples, or it is an object that contains arrays or lists"
 
 
 @cache
@@ -85,8 +87,10 @@ def _tried(kind: ObservationKind, elements: int) -> str:
 
 @dataclass(frozen=True, eq=False)
 class GroupStructure:
-    """Who each member touches, and which of its components are observed. Compared by identity: static under jit, so its
-    arrays are read-only."""
+    """The static part of a group: touched entities and observed components of each member.
+
+    Compared by identity, because it is static under jit; therefore its arrays are read-only.
+    """
 
     kind: ObservationKind
     indices: Int[np.ndarray, "member touched"]
@@ -97,9 +101,11 @@ class GroupStructure:
 
 
 class ObservationGroup(eqx.Module):
-    """All observations of one kind: structure (static) and values. What is not observed has sigma 1 and no weight.
+    """All observations of one kind: structure (static) and values.
 
-    `covariances`: of the components of each member; None where they are not correlated, else `sigmas` is not read.
+    Components that are not observed have sigma 1 and weight 0.
+
+    `covariances`: matrix of the components of each member, which replaces `sigmas`; None without correlations.
     """
 
     structure: GroupStructure = eqx.field(static=True)
@@ -110,7 +116,7 @@ class ObservationGroup(eqx.Module):
 
     @property
     def weights(self) -> Float[Array, "member component *component"]:
-        """Square roots of the weights, 0 where nothing is observed: 1/sigma, or L^-1 of covariances L L^T."""
+        """Square roots of the weights: 1/sigma, or L^-1 for covariances L L^T; 0 where not observed."""
         observed = self.structure.observed
         if self.covariances is None:
             return on_device(observed / on_host(self.sigmas))
@@ -121,7 +127,7 @@ class ObservationGroup(eqx.Module):
         return on_device(xp.where(both, xp.linalg.solve(factor, np.broadcast_to(np.eye(size), factor.shape)), 0.0))
 
     def unweighted(self, weighted: Float[Array, "member component"]) -> Float[Array, "member component"]:
-        """Residuals from those times the square roots of the weights; 0 where nothing is observed."""
+        """Residuals from weighted residuals (times the square roots of the weights); 0 where not observed."""
         if self.covariances is None:
             return on_device(on_host(weighted) * on_host(self.sigmas))
         weights = on_host(self.weights)
@@ -130,7 +136,7 @@ class ObservationGroup(eqx.Module):
 
     @property
     def count(self) -> int:
-        """Number of observations."""
+        """Number of observed components."""
         return int(self.structure.observed.sum())
 
 
@@ -156,7 +162,7 @@ PARAMETERS = ObservationKind("parameters", ("value",), ("parameter",), _paramete
 
 
 def interior_priors(elements: tuple[str, ...]) -> ObservationKind:
-    """Values of interior elements known before, of cameras that have these elements or as many."""
+    """The kind of observed interior elements, for cameras with these elements or with their number."""
     return ObservationKind("interior", elements, ("camera",), _interior)
 
 
@@ -168,7 +174,7 @@ def observation_group(
     constants: Float[np.ndarray, "member constant"] | None = None,
     covariances: Float[np.ndarray, "member component component"] | None = None,
 ) -> ObservationGroup:
-    """A group from tables; NaN marks a component that is not observed."""
+    """Makes a group from arrays; NaN marks a component that is not observed."""
     observed = np.isfinite(values) & np.isfinite(sigmas)
     structure = GroupStructure(kind, np.asarray(indices, np.int32), observed)
     constants = np.zeros((len(values), 0)) if constants is None else constants

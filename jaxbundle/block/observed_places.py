@@ -1,4 +1,4 @@
-"""Where points and stations were observed, in place of where they are approximately: the frame of the datum."""
+"""Observed positions of points and stations instead of approximate ones, as the frame for the datum."""
 
 from typing import NamedTuple
 
@@ -11,7 +11,7 @@ from jaxbundle.numerics.host import on_device, on_host
 
 
 class Frame(NamedTuple):
-    """The block about its centre, what is observed at its observed place; `radius` is the unit of lengths."""
+    """The block relative to its centre, observed objects at observed positions; `radius`: unit of lengths."""
 
     block: Block
     centre: Float[np.ndarray, "3"]
@@ -19,10 +19,10 @@ class Frame(NamedTuple):
 
 
 def frame_of(block: Block) -> Frame:
-    """The block with observed coordinates in place of approximate ones, about the centre of what is observed.
+    """The block with observed instead of approximate coordinates, relative to the centre of the observed ones.
 
-    Centre and radius are medians of the coordinates that carry the datum, of all where these are fewer than two places:
-    a wild approximate value moves neither.
+    Centre and radius are medians of the coordinates that define the datum, of all coordinates if these are fewer than
+    two positions. So a grossly wrong approximate value does not affect them.
     """
     points, centres, carrying = _observed_places(block)
     everything = np.concatenate([points, centres])
@@ -41,8 +41,10 @@ def frame_of(block: Block) -> Frame:
 
 
 def _observed_places(block: Block) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
-    """Points and projection centres, observed coordinates in place of approximate ones; the places that carry the
-    datum: all coordinates of a point or a station that is observed or held."""
+    """Points and projection centres, with observed instead of approximate coordinates.
+
+    Also the positions that define the datum: points or stations with three observed or fixed coordinates.
+    """
     structure = block.structure
     places = {"point": np.array(block.object_points), "image": np.array(block.exterior.projection_centre)}
     carrying = {"point": ~structure.point_free, "image": ~structure.exterior_free[:, :3]}
@@ -66,7 +68,7 @@ def _observed_places(block: Block) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
 
 
 def observed_places(block: Block) -> list[tuple[str, str, Float[np.ndarray, "3"]]]:
-    """Points and images with a coordinate that is observed or held: "point" or "image", its name, and its place."""
+    """Points and images with an observed or fixed coordinate: "point" or "image", name and position."""
     structure = block.structure
     points, centres, _ = _observed_places(block)
     found = []
@@ -76,7 +78,7 @@ def observed_places(block: Block) -> list[tuple[str, str, Float[np.ndarray, "3"]
 
 
 def _observed_entities(block: Block, entity: str) -> set[int]:
-    """Points or images that have a coordinate that is observed or held."""
+    """Points or images that have an observed or fixed coordinate."""
     structure = block.structure
     held = ~structure.point_free if entity == "point" else ~structure.exterior_free[:, :3]
     found = set(np.flatnonzero(held.any(1)).tolist())

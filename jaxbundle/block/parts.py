@@ -1,8 +1,8 @@
-"""Parts of a block: groups of images that share no point, or so few that they do not hold each other.
+"""Parts of a block: groups of images with too few common points to fix them relative to each other.
 
 Three points common to two groups of images fix all seven parameters of the similarity transformation between them; two
-leave a rotation open, one all rotations and the scale. So images with three common points belong together, and so do
-groups that have three points in common between them.
+leave a rotation open, one all rotations and the scale. So images with three common points belong together, and also
+groups with three common points.
 """
 
 from dataclasses import dataclass
@@ -19,7 +19,7 @@ HOLDING = 3  # common points that fix a similarity transformation, unless they l
 
 @dataclass(frozen=True, eq=False)
 class Part:
-    """Images that hold each other, the points seen on them, and those of these points that other parts see too."""
+    """Images that are connected, their points, and those of these points that other parts also see."""
 
     images: Int[np.ndarray, " image"]
     points: Int[np.ndarray, " point"]
@@ -27,7 +27,7 @@ class Part:
 
 
 def parts_of(structure: Structure) -> tuple[Part, ...]:
-    """The parts of a block, the largest first; one part where all images hold together."""
+    """The parts of a block in decreasing size; one part if all images are connected."""
     images, points = len(structure.image_names), len(structure.point_names)
     seen = _incidence(structure.ray_image, structure.ray_point, (images, points))
     labels = np.arange(images)
@@ -47,7 +47,7 @@ def parts_of(structure: Structure) -> tuple[Part, ...]:
 
 
 def _incidence(rows: np.ndarray, columns: np.ndarray, shape: tuple[int, int]) -> scipy.sparse.csr_matrix:
-    """1 where a row sees a column, however often."""
+    """Sparse matrix with 1 where a row sees a column at least once."""
     matrix = scipy.sparse.csr_matrix((np.ones(len(rows), int), (rows, columns)), shape)
     matrix.data[:] = 1
     return matrix

@@ -1,21 +1,27 @@
-"""Problems of a block in the user's names, each with its cure, told all at once."""
+"""Problems of a block in the user's names, each with its cure, reported all at once."""
 
 import unicodedata
 from dataclasses import dataclass
 
-SHOWN = 200  # a terminal's worth; the rest is counted
-LONGEST = 60  # characters of one value in a message
-HIDDEN = ("Cc", "Cs", "Zl", "Zp")  # categories of Unicode: control, no character, breaks of lines and paragraphs
-TURNING = {0x061C, 0x200E, 0x200F, *range(0x202A, 0x202F), *range(0x2066, 0x206A)}  # the direction of writing
+SHOWN = 200  # number of lines for a terminal; the rest is counted
+LONGEST = 60  # maximum number of characters of one value in a message
+HIDDEN = ("Cc", "Cs", "Zl", "Zp")  # categories of Unicode: control, not a character, breaks of lines and paragraphs
+TURNING = {
+    0x061C,
+    0x200E,
+    0x200F,
+    *range(0x202A, 0x202F),
+    *range(0x2066, 0x206A),
+}  # characters for the direction of writing
 WITHOUT_WIDTH = {0x200B, 0x2060, 0xFEFF}
 UNSEEN = frozenset(map(chr, TURNING | WITHOUT_WIDTH))
 
 
 @dataclass(frozen=True)
 class Problem:
-    """What is wrong, what cures it, and where: a table of the block and a row in it (counted from 0).
+    """A problem, its cure, and its position: a table of the block and a row in it (counted from 0).
 
-    `count`: how many rows it concerns, the first of which is `row`.
+    `count`: number of affected rows; the first one is `row`.
     """
 
     what: str
@@ -30,7 +36,7 @@ class Problem:
 
 
 class BlockError(ValueError):
-    """Bad input: all problems of a block at once. `lines` may tell them with file and line, not table and row."""
+    """The error for bad input, with all problems of a block. `lines`: with file and line, or table and row."""
 
     def __init__(self, problems: list[Problem], lines: list[str] | None = None):
         self.problems = tuple(problems)
@@ -43,18 +49,18 @@ class BlockError(ValueError):
 
 
 def is_hidden(character: str) -> bool:
-    """Whether a character is no visible one: it ends a line, steers a terminal or turns the direction of writing."""
+    """Whether a character is invisible: it breaks a line, controls a terminal or changes the direction of writing."""
     return unicodedata.category(character) in HIDDEN or character in UNSEEN
 
 
 def printable(text: str) -> str:
-    """The text with every hidden character as its escape, such as \\x1b."""
+    """The text with invisible characters as escapes, such as \\x1b."""
     if text.isascii() and text.isprintable():
         return text
     return "".join(c.encode("unicode_escape").decode() if is_hidden(c) else c for c in text)
 
 
 def shown(text: str, longest: int = LONGEST) -> str:
-    """A value as a message shows it: without hidden characters; of a long one its beginning, and its length."""
+    """A value for a message: without invisible characters; a long one is shortened, with its length."""
     begin = printable(text[:longest])
     return begin if len(text) <= longest else f"{begin}... ({len(text)} characters)"

@@ -1,7 +1,7 @@
-"""All observations as arrays, and their residuals: v = computed - observed, everywhere.
+"""All observations as arrays, and their residuals v = computed - observed.
 
-`Observations` is a block's second form: nothing but arrays (component first, long axis last) and, static, the functions
-that are applied to them. Names stay behind, so two blocks of equal shapes share one compiled program.
+`Observations` is a second form of a block: only arrays (component first, long axis last) and, as static fields, the
+functions that are applied to them. It has no names, so two blocks with equal shapes share one compiled program.
 """
 
 from typing import Any
@@ -21,8 +21,11 @@ from jaxbundle.numerics.host import on_device, on_host
 
 
 class Group(eqx.Module):
-    """Observations of one kind; `weights` are square roots of the weights, 0 where nothing is observed: a factor a
-    component, or the rows of a lower triangle where the components are correlated."""
+    """Observations of one kind as arrays.
+
+    `weights` are square roots of the weights, 0 where not observed: one factor per component, or the rows of a lower
+    triangle if the components are correlated.
+    """
 
     kind: ObservationKind = eqx.field(static=True)
     indices: Int[Array, "touched member"]
@@ -32,7 +35,7 @@ class Group(eqx.Module):
 
 
 class Observations(eqx.Module):
-    """Everything observed, who sees what, and what is free; `columns`: interior elements that some camera estimates."""
+    """All observations, their indices, and masks of free elements; `columns`: interior elements to estimate."""
 
     model: CameraModel = eqx.field(static=True)
     columns: tuple[int, ...] = eqx.field(static=True)
@@ -51,7 +54,7 @@ class Observations(eqx.Module):
 
 
 def group_arrays(group: ObservationGroup, indices: Int[np.ndarray, "touched member"]) -> Group:
-    """A group as arrays whose long axis is last; `indices` in whatever order the unknowns are."""
+    """A group as arrays with the long axis last; `indices` in the order of the unknowns."""
     values, weights, constants = (on_host(x) for x in (group.values, group.weights, group.constants))
     weights = weights.T if weights.ndim == 2 else weights.transpose(1, 2, 0)
     return Group(
@@ -64,7 +67,7 @@ def group_arrays(group: ObservationGroup, indices: Int[np.ndarray, "touched memb
 
 
 def observations_of(block: Block) -> Observations:
-    """The observations of a block."""
+    """The observations of a block as arrays."""
     structure, in_angles = block.structure, corrected_in_angles(block.structure)
     groups = tuple(group_arrays(group, group.structure.indices.T) for group in block.groups)
     return Observations(
@@ -86,7 +89,7 @@ def observations_of(block: Block) -> Observations:
 
 
 def touched_values(unknowns: Unknowns, kind: str, index: Array) -> Any:
-    """The scalars of the touched entities, as an observation kind takes them; shape of `index`."""
+    """The scalars of the touched entities as arguments of an observation kind; each has the shape of `index`."""
     if kind == "point":
         return tuple(unknowns.points[:, index])
     if kind == "image":
@@ -122,6 +125,6 @@ def ray_residuals(unknowns: Unknowns, observations: Observations) -> Float[Array
 
 
 def weighted_residuals(unknowns: Unknowns, observations: Observations) -> tuple[Float[Array, "component member"], ...]:
-    """Residuals over their sigmas: first the rays, then every group; 0 where nothing is observed."""
+    """Residuals over their sigmas: first the rays, then each group; 0 where not observed."""
     rays = ray_residuals(unknowns, observations) * observations.weights
     return rays, *(weighted(group_residuals(unknowns, group), group) for group in observations.groups)

@@ -1,11 +1,11 @@
-"""Small similarity transformations (t, r, m) that nothing determines, by what they are: position, rotations, scale."""
+"""Undetermined small similarity transformations (t, r, m), described as position, rotations and scale."""
 
 from dataclasses import dataclass
 
 import numpy as np
 from jaxtyping import Float
 
-RANK_TOLERANCE = 1e-8  # singular values are of order 1 for control spread over the block
+RANK_TOLERANCE = 1e-8  # tolerance of singular values, which are of order 1 for control spread over the block
 
 Direction = tuple[float, float, float]
 
@@ -24,7 +24,7 @@ class SimilarityDefect:
 
     @property
     def count(self) -> int:
-        """Number of undetermined parameters."""
+        """Number of undetermined parameters of the seven."""
         return len(self.origin) + len(self.axes) + self.scale
 
     @property
@@ -57,7 +57,7 @@ def similarity_defect(free: Float[np.ndarray, "7 defect"]) -> SimilarityDefect:
 
 
 def _directions(columns: Float[np.ndarray, "3 k"]) -> tuple[Direction, ...]:
-    """Unit vectors that span the same space, whatever basis it is given in: the largest coordinate axes first."""
+    """Unit vectors that span the same space, independent of the basis: the largest coordinate axes first."""
     left, size, _ = np.linalg.svd(columns, full_matrices=False)
     left = left[:, size > RANK_TOLERANCE]
     projector, found = left @ left.T, []
@@ -70,7 +70,7 @@ def _directions(columns: Float[np.ndarray, "3 k"]) -> tuple[Direction, ...]:
 
 
 def null_space_of(matrix: Float[np.ndarray, "row column"]) -> Float[np.ndarray, "column defect"]:
-    """Orthonormal directions that no row notices."""
+    """Orthonormal directions of the null space of the rows."""
     columns = matrix.shape[1]
     _, singular, vt = np.linalg.svd(np.concatenate([matrix, np.zeros((columns, columns))]), full_matrices=False)
     return vt[singular <= RANK_TOLERANCE].T
@@ -79,7 +79,7 @@ def null_space_of(matrix: Float[np.ndarray, "row column"]) -> Float[np.ndarray, 
 def displacements(
     datum: Float[np.ndarray, "7 defect"], places: Float[np.ndarray, "place 3"], radius: float
 ) -> Float[np.ndarray, "defect place 3"]:
-    """How places, from the centre of the block, move under similarity transformations."""
+    """Displacements of positions, relative to the centre of the block, under similarity transformations."""
     t, r, m = datum[:3].T[:, None], datum[3:6].T[:, None], datum[6][:, None, None]
     return t * radius + np.cross(r, places) + m * places
 

@@ -1,11 +1,11 @@
 """The unknowns of the adjustment and their corrections.
 
-Attitudes are matrices; their corrections are small angles (alpha, omega, kappa) about the matrix reached so far,
+Attitudes are matrices; their corrections are small angles (alpha, omega, kappa) relative to the current matrix,
 
     R = R_ref R(alpha, omega, kappa),
 
-so no attitude is singular. Only where a datum holds one or two angles of an image is that image corrected in the user's
-own angles, which then must be regular there.
+so no attitude is singular. Only an image with one or two angles fixed by the datum is corrected in the user's angles,
+which must be regular at its attitude.
 
 Arrays have the component first and the long axis last.
 """
@@ -27,7 +27,7 @@ from jaxbundle.numerics.shapes import grid_size
 
 
 class Unknowns(eqx.Module):
-    """Approximate or adjusted values of everything that may be unknown; rotations object_from_image, rows a, b, c."""
+    """Approximate or adjusted values of all elements that may be unknown; rotations object_from_image, rows a, b, c."""
 
     rotation: Float[Array, "9 image"]
     centre: Float[Array, "3 image"]
@@ -37,7 +37,7 @@ class Unknowns(eqx.Module):
 
 
 class Correction(eqx.Module):
-    """Corrections of the unknowns: X0, Y0, Z0 and three angles an image; 0 for what is held."""
+    """Corrections of the unknowns: X0, Y0, Z0 and three angles per image; 0 for fixed elements."""
 
     exterior: Float[Array, "6 image"]
     interior: Float[Array, "element camera"]
@@ -46,10 +46,10 @@ class Correction(eqx.Module):
 
 
 def unknowns_of(block: Block) -> Unknowns:
-    """The approximate values of a block."""
+    """The approximate values of a block as unknowns."""
     interior = on_host(block.interior.elements).T
     models = tuple(dict.fromkeys(camera.model for camera in block.structure.cameras))
-    if len(models) > 1:  # the mixture's last element tells the kind
+    if len(models) > 1:  # the last element of a mixture selects the model
         kind = np.array([[models.index(camera.model) for camera in block.structure.cameras]], float)
         interior = (np if is_concrete(interior) else jnp).concatenate([interior, kind])
     return Unknowns(
@@ -62,13 +62,13 @@ def unknowns_of(block: Block) -> Unknowns:
 
 
 def _rotations(block: Block) -> Float[Array, "9 image"]:
-    """Rotation matrices of the images; concrete ones by a program that serves all numbers of images alike."""
+    """Rotation matrices of the images; concrete ones by a compiled program for any number of images."""
     angles, system = on_host(block.exterior.angles), block.structure.rotation_system
     if not is_concrete(angles):
         return jnp.stack(system.rotation_from_angles(*angles.T))
     padded = np.zeros((3, grid_size(len(angles))))
     padded[:, : len(angles)] = angles.T
-    with jax.ensure_compile_time_eval():  # also inside of a jit, where the angles may be constants
+    with jax.ensure_compile_time_eval():  # also inside jit, where the angles may be constants
         rotations = np.asarray(_compiled_rotations(system, on_device(padded), optimised=False))
     return on_device(rotations[:, : len(angles)])
 
@@ -79,7 +79,7 @@ def _compiled_rotations(system: RotationSystem, angles: Float[Array, "3 image"])
 
 
 def corrected_in_angles(structure: Structure) -> Bool[np.ndarray, " image"] | None:
-    """Images of which one or two angles are held: they are corrected in the user's angles. None if there is none."""
+    """Mask of the images with one or two fixed angles, which are corrected in the user's angles; None without any."""
     free = structure.exterior_free[:, 3:].sum(1)
     partly = (free > 0) & (free < 3)
     return partly if partly.any() else None
@@ -90,7 +90,7 @@ def _small_rotation(reference: Rotation, alpha: Array, omega: Array, kappa: Arra
 
 
 def _columns(rotation_from_angles: Callable[..., Rotation], angles: Angles) -> Float[Array, "element 3 image"]:
-    """Derivatives of the elements with respect to each of three angles, image by image."""
+    """Derivatives of the matrix elements with respect to each of three angles, for each image."""
     along = [jnp.stack(jax.jvp(rotation_from_angles, angles, unit)[1]) for unit in _units(angles[0])]
     return jnp.stack(along, 1)
 
@@ -103,7 +103,7 @@ def _units(like: Scalar) -> tuple[Angles, Angles, Angles]:
 def attitude_derivatives(
     matrix: Float[Array, "9 image"], in_angles: Bool[Array, " image"] | None, system: RotationSystem
 ) -> Float[Array, "9 3 image"]:
-    """Derivatives of the rotation matrices with respect to the three angles their corrections are made in."""
+    """Derivatives of the rotation matrices with respect to the three angles of their corrections."""
     zero = jnp.zeros_like(matrix[0])
     small = _columns(lambda *angles: _small_rotation(tuple(matrix), *angles), (zero, zero, zero))
     if in_angles is None:
@@ -115,7 +115,7 @@ def attitude_derivatives(
 def attitude_curvature(
     matrix: Float[Array, "9 image"], in_angles: Bool[Array, " image"] | None, system: RotationSystem
 ) -> Float[Array, "9 3 3 image"]:
-    """Second derivatives of the rotation matrices with respect to these angles."""
+    """Second derivatives of the rotation matrices with respect to the angles of their corrections."""
 
     def second(rotation_from_angles: Callable[..., Rotation], angles: Angles) -> Float[Array, "9 3 3 image"]:
         along = [jax.jvp(lambda *a: _columns(rotation_from_angles, a), angles, unit)[1] for unit in _units(angles[0])]
@@ -148,9 +148,10 @@ def corrected(
 
 
 def angles_near(matrix: Rotation, reference: Float[Array, "3 image"], system: RotationSystem) -> Angles:
-    """The angles of a matrix nearest to the reference: full turns are kept, and the second of the two solutions
+    """The angles of a matrix that are nearest to the reference.
 
-    (first + 180 deg, 180 deg - middle, last + 180 deg) is taken where the reference is of that kind.
+    Full turns are those of the reference. The second solution (first + 180 deg, 180 deg - middle, last + 180 deg) is
+    used if it is nearer.
     """
     first, middle, last = system.angles_from_rotation(matrix)
     solutions = []
@@ -158,7 +159,7 @@ def angles_near(matrix: Rotation, reference: Float[Array, "3 image"], system: Ro
         turns = [jnp.round((r - a) / (2 * jnp.pi)) for a, r in zip(angles, reference, strict=True)]
         solutions.append(tuple(a + 2 * jnp.pi * jax.lax.stop_gradient(k) for a, k in zip(angles, turns, strict=True)))
     one, two = (sum(jnp.abs(a - r) for a, r in zip(angles, reference, strict=True)) for angles in solutions)
-    nearest = jnp.argmin(jnp.stack([one, two]), 0)  # once for all three: see `rotation.to_quaternion`
+    nearest = jnp.argmin(jnp.stack([one, two]), 0)  # common to all three angles: see `rotation.to_quaternion`
     x, y, z = (jnp.where(nearest == 0, a, b) for a, b in zip(*solutions, strict=True))
     return x, y, z
 
@@ -171,7 +172,7 @@ def angle_derivatives(
 ) -> Float[Array, "3 3 image"]:
     """Derivatives of the user's angles (rows) with respect to the angles of the corrections (columns).
 
-    Not finite at the singular attitude of the user's system, where the outer two angles are not determined.
+    Not finite at the singular attitude of the user's system, where the two outer angles are undetermined.
     """
     zero = jnp.zeros_like(matrix[0])
     small = _columns(lambda *k: angles_near(_small_rotation(tuple(matrix), *k), reference, system), (zero, zero, zero))
@@ -179,6 +180,6 @@ def angle_derivatives(
 
 
 def without_orientation(block: Block) -> Bool[np.ndarray, " image"]:
-    """Images of a concrete block that lack a coordinate of the projection centre or an angle."""
+    """Mask of the images of a concrete block without a coordinate of the projection centre or without an angle."""
     exterior = np.c_[on_host(block.exterior.projection_centre), on_host(block.exterior.angles)]
     return ~np.isfinite(exterior).all(1)

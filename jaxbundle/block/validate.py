@@ -1,4 +1,4 @@
-"""What must hold of a block before it is adjusted; all that does not is told at once."""
+"""Validation of a block before its adjustment; all problems are reported at once."""
 
 import numpy as np
 from jaxtyping import Bool, Int
@@ -14,18 +14,18 @@ from jaxbundle.block.problems import BlockError, Problem
 
 
 def validate(block: Block) -> list[Problem]:
-    """Problems of a block whose values are concrete, in the order in which they are best cured."""
+    """Problems of a concrete block, in the best order to solve them."""
     require_a(Block, block, "blocks.validate")
     wrong = inconsistencies(block)
     if wrong:
-        return wrong  # nothing else can be looked at
+        return wrong  # no other check is possible
     problems = [*_unusable_values(block), *_unusable_sigmas(block), *weaknesses(block)]
     problems = problems or unusable_numbers(block) or absurd_numbers(block) or unusable_models(block)
     return problems or [*_redundancy(block), *_datum(block)]
 
 
 def weaknesses(block: Block) -> list[Problem]:
-    """Images and points with too few observations of their own; values take no part in it."""
+    """Problems of images and points with too few observations; values are not used."""
     return [*_weak_images(block), *_weak_points(block)]
 
 
@@ -37,7 +37,7 @@ def require_valid(block: Block) -> None:
 
 
 def _observed_of(block: Block, touched: str, size: int) -> Int[np.ndarray, " entity"]:
-    """Number of group III observations that touch each point or image."""
+    """Number of observations other than rays that touch each point or image."""
     count = np.zeros(size, int)
     for group in block.groups:
         structure = group.structure
@@ -48,7 +48,7 @@ def _observed_of(block: Block, touched: str, size: int) -> Int[np.ndarray, " ent
 
 
 def _unusable_values(block: Block) -> list[Problem]:
-    """Values that are no finite numbers; a weak point has no coordinates for a reason that is told with it."""
+    """Problems of values that are not finite; missing coordinates of weak points are reported elsewhere."""
     structure = block.structure
     no_number = "has a value that is not a finite number"
     orientations = np.c_[block.exterior.projection_centre, block.exterior.angles]
@@ -56,13 +56,13 @@ def _unusable_values(block: Block) -> list[Problem]:
     cameras = [f"camera {camera.name}" for camera in structure.cameras]
     images = [f"image {name}" for name in structure.image_names]
     tables = [
-        ("cameras", block.interior.elements, cameras, no_number, "give the camera its interior elements"),
+        ("cameras", block.interior.elements, cameras, no_number, "add the interior elements of the camera"),
         (
             "images",
             orientations,
             images,
             "has no orientation",
-            "measure at least 8 points on it that other images show, give it approximate values, or call"
+            "measure at least 8 points on it that are also on other images, give approximate values, or call"
             " jb.approximate(block)",
         ),
         ("rays", block.rays.coordinates, None, no_number, "give both image coordinates or drop the ray"),
@@ -94,13 +94,13 @@ def _unusable_sigmas(block: Block) -> list[Problem]:
 
 
 def _coordinates(structure: Structure) -> int:
-    """Residuals of a ray; of photographs where no camera is there yet."""
+    """Number of residuals of a ray; that of photographs if no camera exists yet."""
     return structure.model.components if structure.cameras else 2
 
 
 def _weak_images(block: Block) -> list[Problem]:
     structure = block.structure
-    first = structure.ray_repeat == 0  # a point that is measured again on an image tells the image nothing new
+    first = structure.ray_repeat == 0  # a repeated point on an image does not add information about the image
     rays = np.bincount(structure.ray_image[first], minlength=len(structure.image_names))
     known = _coordinates(structure) * rays + _observed_of(block, "image", len(rays))
     return [
@@ -117,7 +117,7 @@ def _weak_images(block: Block) -> list[Problem]:
 
 
 def _is_weak_point(block: Block) -> Bool[np.ndarray, " point"]:
-    """Points with fewer observations than unknown coordinates."""
+    """Problems of points with fewer observations than unknown coordinates."""
     structure = block.structure
     first = structure.ray_repeat == 0
     rays = np.bincount(structure.ray_point[first], minlength=len(structure.point_names))
@@ -140,15 +140,15 @@ def _weak_points(block: Block) -> list[Problem]:
 
 
 def _redundancy(block: Block) -> list[Problem]:
-    unknowns = block.structure.unknowns
+    unknowns = block.structure.n_unknowns
     to_be_held = 7 if block.structure.datum.kind in ("open", "inner") and not is_located(block) else 0
-    if block.observations > unknowns - to_be_held:
+    if block.n_observations > unknowns - to_be_held:
         return []
-    after = f", {unknowns - to_be_held} with the datum held" if to_be_held else ""
+    after = f", {unknowns - to_be_held} with a fixed datum" if to_be_held else ""
     return [
         Problem(
-            f"{block.observations} observations do not exceed {unknowns} unknowns{after}: M > N is needed",
-            "measure more points common to the images, or hold the interior elements of the cameras",
+            f"{block.n_observations} observations do not exceed {unknowns} unknowns{after}: M > N is required",
+            "measure more points common to the images, or fix the interior elements of the cameras",
         )
     ]
 

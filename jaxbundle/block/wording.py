@@ -1,15 +1,15 @@
-"""Lists, numbers and units in the sentences that a user reads."""
+"""Formatting lists, numbers and units in sentences for users."""
 
 import math
 from collections.abc import Sequence
 
-NAMED = 6  # names in one sentence; findings have all of them as subjects
-RADIANS = {"deg": math.pi / 180, "gon": math.pi / 200, "rad": 1.0}  # angle units of the user
-IMAGE = "image:"  # before the name of an image among the ends of an observation: its projection centre
+NAMED = 6  # maximum number of names in one sentence; findings have all of them as subjects
+RADIANS = {"deg": math.pi / 180, "gon": math.pi / 200, "rad": 1.0}  # angle units of users in radians
+IMAGE = "image:"  # prefix of an image as the end of an observation, which means its projection centre
 
 
 def named(names: Sequence[str], most: int = NAMED) -> str:
-    """Names in one sentence: the first few, and how many more there are."""
+    """Names in one sentence: the first few, and the number of the others."""
     more = f" and {len(names) - most} more" if len(names) > most else ""
     return ", ".join(names[:most]) + more
 
@@ -20,10 +20,10 @@ def counted(number: int, noun: str) -> str:
 
 
 def are(number: int) -> str:
-    """The verb of so many."""
+    """The verb "is" or "are" for a number."""
     return "is" if number == 1 else "are"
 
 
 def figure(value: float, digits: int = 3) -> str:
-    """A number with so many digits."""
-    return f"{value:.{digits}g}" if math.isfinite(value) else "not known"
+    """A number with a number of digits."""
+    return f"{value:.{digits}g}" if math.isfinite(value) else "unknown"

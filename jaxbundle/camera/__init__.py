@@ -1,1 +1,1 @@
-"""The image equation and the camera models."""
+"""The image equation and the camera models of the package."""

@@ -8,25 +8,26 @@ point, b = `grid_base`, all products T_i(x) T_j(y), i, j < n, of the polynomials
     n = 3    T = 1, x, x^2 - 2 b^2/3
     n = 5    T = 1, x, x^2 - b^2/2, x^3 - 17 b^2 x/20, x^4 - 31 b^2 x^2/28 + 9 b^4/70
 
-correct anything that n^2 points can show in dx, and as much in dy: 18 or 50 terms. Six are left out, as the orientation
-of each image takes them: two shifts, scale, rotation and two tilts, (T2(x), x y) and (x y, T2(y)). What remains of the
-terms they are made of is made orthogonal to them; 12 or 44 corrections are left:
+represent any correction in dx at n^2 points, and in dy: 18 or 50 terms. Six are left out, because the orientation of
+each image absorbs them: two shifts, scale, rotation and two tilts, (T2(x), x y) and (x y, T2(y)). Their terms are
+    replaced by combinations orthogonal to them; 12 or 44 corrections remain:
 
     1    (x, -y)                  3    (-m T2(x), x y)            m = 2 (n = 3), 10/7 (n = 5): the ratio of the sums
     2    (y, x)                   4    (x y, -m T2(y))            of (x y)^2 and T2^2 over the grid
     5, 7, ...    (T_i(x) T_j(y), 0) for all other i, j, by i + j, then by i
     6, 8, ...    (0, T_j(x) T_i(y)), its mirror image
 
-All are orthogonal to each other and to the six, as vectors over the grid. For n = 3 they are Ebner's, in his order:
+All are orthogonal to each other and to the six, as vectors over the grid. For n = 3 they are those of Ebner, in his
+order:
 
     dx =  e1 x + e2 y - e3 (2 x^2 - 4 b^2/3) + e4 x y + e5 Y + e7 x Y + e9 y X + e11 X Y        X = x^2 - 2 b^2/3
     dy = -e1 y + e2 x + e3 x y - e4 (2 y^2 - 4 b^2/3) + e6 X + e8 y X + e10 x Y + e12 X Y       Y = y^2 - 2 b^2/3
 
-His paper gives the count 18 - 6 and both demands of orthogonality. Gruen's 44 follow from the same demands on 25
-points; their order here is the package's own.
+His paper gives the count 18 - 6 and both conditions of orthogonality. Gruen's 44 follow from the same conditions
+for 25 points; their order is defined here.
 
 e_k and g_k have the unit of the principal distance to the power 1 - degree. `grid_base` is in that unit and always
-held; usual is 0.4 of the longer side of the image format.
+fixed; a usual value is 0.4 of the longer side of the image format.
 
 H. Ebner, Self calibrating block adjustment, Int. Arch. Photogrammetry 21 (III), Helsinki 1976.
 A. W. Gruen, Accuracy, reliability and statistics in close-range photogrammetry, Inter-Congress Symposium of ISP
@@ -40,7 +41,7 @@ from jaxbundle.camera.collinearity import Vector, central_projection
 from jaxbundle.camera.model import SENSOR, CameraModel, ImagePoint, reduced
 from jaxbundle.geometry.rotation import Scalar
 
-GRID_SHARE = 0.4  # of the longer side: the outer points of the grid at 80 % of the way to the edge
+GRID_SHARE = 0.4  # share of the longer side: the outer points of the grid are at 80 % of the distance to the edge
 
 
 class Product(NamedTuple):
@@ -52,7 +53,7 @@ class Product(NamedTuple):
 
 
 class Correction(NamedTuple):
-    """One correction of both coordinates; None where it leaves a coordinate as it is."""
+    """One correction of both coordinates; None for an unchanged coordinate."""
 
     x: Product | None
     y: Product | None
@@ -75,7 +76,7 @@ def orthogonal_corrections(points: int) -> tuple[Correction, ...]:
 
 
 def polynomials(points: int, x: Scalar, b: Scalar) -> tuple[Scalar, ...]:
-    """T_0 ... T_(points - 1) at x."""
+    """The polynomials T_0 ... T_(points - 1) at x."""
     x2, b2 = x * x, b * b
     if points == 3:
         return 1.0, x, x2 - 2 * b2 / 3

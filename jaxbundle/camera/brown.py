@@ -9,7 +9,7 @@
                y (1 + K1 r^2 + K2 r^4 + K3 r^6) + P2 (r^2 + 2 y^2) + 2 P1 x y)            Brown (1971)
 
 b1 is the affinity, b2 the shear. In `brown-scale-first` the scale b1 acts on the measured u itself, about the origin of
-the image coordinates, so b1 moves the principal point by b1 u.
+the image coordinates, so b1 shifts the principal point by b1 u.
 """
 
 from jaxbundle.camera.collinearity import Vector, central_projection
@@ -23,7 +23,7 @@ DISTORTION = ("K1", "K2", "K3", "P1", "P2")
 def radial_and_decentring(
     x: Scalar, y: Scalar, k1: Scalar, k2: Scalar, k3: Scalar, p1: Scalar, p2: Scalar, k4: Scalar = 0.0
 ) -> ImagePoint:
-    """D(x, y): an image point with radial and decentring distortion (Brown 1971), and K4 r^8 where it is given."""
+    """The function D(x, y): an image point with radial and decentring distortion (Brown 1971), and K4 r^8 if given."""
     r2 = x * x + y * y
     radial = 1 + r2 * (k1 + r2 * (k2 + r2 * (k3 + r2 * k4)))
     return (

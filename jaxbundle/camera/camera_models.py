@@ -1,4 +1,4 @@
-"""All camera models by name."""
+"""The table of all camera models by name."""
 
 from jaxbundle.camera.additional_parameters import EBNER, GRUEN
 from jaxbundle.camera.brown import BROWN, BROWN_AFFINE_LAST, BROWN_SCALE_FIRST, DISTORTION_FREE
@@ -29,5 +29,5 @@ CAMERA_MODELS = {model.name: model for model in _MODELS}
 
 
 def named_model(model: CameraModel) -> CameraModel | None:
-    """The model of `CAMERA_MODELS` that this one is, as it stands or with corrections; None for any other."""
+    """The equal model of `CAMERA_MODELS`, also for a model with corrections; None for any other."""
     return next((own for own in _MODELS if model is own or model is with_corrections(own)), None)

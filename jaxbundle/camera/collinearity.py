@@ -4,13 +4,13 @@
     x = -c p_x / p_z          the camera looks along -z: p_z < 0 in front of it
     y = -c p_y / p_z          x to the right, y up
 
-In the textbook's letters, with f for c and (p_x, p_y, p_z) = (N1, N2, Z*):
+In the notation of Text 000, with f for c and (p_x, p_y, p_z) = (N1, N2, Z*):
 
     x - x0 = -f [a1 (X - X0) + b1 (Y - Y0) + c1 (Z - Z0)] / [a3 (X - X0) + b3 (Y - Y0) + c3 (Z - Z0)]
     y - y0 = -f [a2 (X - X0) + b2 (Y - Y0) + c2 (Z - Z0)] / [a3 (X - X0) + b3 (Y - Y0) + c3 (Z - Z0)]     (161)
 
-It stands here once, for one ray, scalars in and scalars out; a scalar may be an array of any shape. Every derivative in
-the package is an automatic derivative of this function and of a camera model put behind it.
+The package contains this equation once, for one ray, with scalar arguments and results; a scalar may be an array of any
+shape. All derivatives are automatic derivatives of this function and of the camera model that follows it.
 """
 
 from jaxbundle.geometry.rotation import Rotation, Scalar
@@ -18,7 +18,7 @@ from jaxbundle.geometry.vectors import Vector
 
 
 def photo_vector(rotation: Rotation, projection_centre: Vector, object_point: Vector) -> Vector:
-    """p = R^T (X - X0): the object point in the system of the photograph."""
+    """The photo vector p = R^T (X - X0): the object point in the system of the photograph."""
     a1, a2, a3, b1, b2, b3, c1, c2, c3 = rotation
     dx = object_point[0] - projection_centre[0]
     dy = object_point[1] - projection_centre[1]
@@ -27,7 +27,7 @@ def photo_vector(rotation: Rotation, projection_centre: Vector, object_point: Ve
 
 
 def central_projection(photo_vector: Vector, principal_distance: Scalar) -> tuple[Scalar, Scalar]:
-    """(x, y) = -c (p_x, p_y) / p_z, in the unit of the principal distance."""
+    """The projection (x, y) = -c (p_x, p_y) / p_z, in the unit of the principal distance."""
     scale = -principal_distance / photo_vector[2]
     return scale * photo_vector[0], scale * photo_vector[1]
 

@@ -1,4 +1,4 @@
-"""The way back from the image: the photo vector of a measured point, for any camera model."""
+"""From image to space: the photo vector of a measured point, for any camera model."""
 
 import jax
 import jax.numpy as jnp
@@ -7,16 +7,17 @@ from jaxtyping import Array, Float
 from jaxbundle.camera.model import CameraModel, Residual
 from jaxbundle.geometry.rotation import Scalar
 
-NEWTON_STEPS = 10  # a correction of the measurement needs one, a strong distortion of the projection about six
-SETTLED = 1e-13  # of the principal distance: below, a Newton step is rounding
+# Newton steps: a correction of the measurement needs one, a strong distortion of the projection about six
+NEWTON_STEPS = 10
+SETTLED = 1e-13  # share of the principal distance: below this a Newton step is rounding
 
 
 def direction(
     model: CameraModel, interior: tuple[Scalar, ...], measured: tuple[Float[Array, "..."], Float[Array, "..."]]
 ) -> tuple[Float[Array, "..."], Float[Array, "..."], Float[Array, "..."]]:
-    """Unit vector along the ray, in the system of the photograph; arrays of any one shape.
+    """Unit vector along the ray, in the system of the photograph; arguments are arrays of one shape.
 
-    The photo vector (a, b, -1) is the one whose residual vanishes, by Newton's method: any camera model has an inverse.
+    The photo vector (a, b, -1) is the one with zero residual, by Newton's method, so any camera model can be inverted.
     """
     one, zero = jnp.ones_like(measured[0]), jnp.zeros_like(measured[0])
 

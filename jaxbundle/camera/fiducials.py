@@ -4,11 +4,12 @@
     affine        x = a0 + a1 u + a2 v                            y = b0 + b1 u + b2 v
     projective    x = (a0 + a1 u + a2 v) / (1 + c1 u + c2 v)      y = (b0 + b1 u + b2 v) / (1 + c1 u + c2 v)
 
-u right, v down, x right, y up; `conformal` thus mirrors, and a film scanned from its back wants `affine`. Parameters
-minimise the sum of the squares of v = (transformed - calibrated) in mm, all of weight 1 (Kraus 2007).
+u right, v down, x right, y up; therefore `conformal` includes a reflection, and a film scanned from its back needs
+`affine`. Parameters minimise the sum of squares of v = (transformed - calibrated) in mm, all with weight 1 (Kraus
+2007).
 
-The fit is computed in q = (u - mean, v - mean) / rms distance, so that no digits are lost, and expanded at the end.
-Host work, done once before the adjustment; numpy.
+The fit is computed in q = (u - mean, v - mean) / rms distance, so that no digits are lost, and converted at the end.
+It is computed once before the adjustment, in numpy.
 """
 
 from dataclasses import dataclass
@@ -24,9 +25,10 @@ PARAMETERS = {
     "affine": ("a0", "a1", "a2", "b0", "b1", "b2"),
     "projective": ("a0", "a1", "a2", "b0", "b1", "b2", "c1", "c2"),
 }
-NEWTON_STEPS = 20  # film is flat to 1e-3: three are enough
-CONVERGED = 1e-13  # of the size of the image
-DEGENERATE = 3e-3  # smallest over largest singular value: corners and sides of film have 0.06, of a narrow strip 0.02;
+NEWTON_STEPS = 20  # iterations: film is flat to 1e-3, so three are sufficient
+CONVERGED = 1e-13  # share of the size of the image
+# ratio of minimum and maximum singular value: 0.06 for corners and sides of film, 0.02 for a narrow strip;
+DEGENERATE = 3e-3
 # three fiducials on a line, straight to 0.02 mm, have 2e-4
 
 Matrix = Float[np.ndarray, "3 3"]
@@ -34,7 +36,7 @@ Points = Float[np.ndarray, "point 2"]
 
 
 class FiducialError(ValueError):
-    """Fiducials that give no transformation: `what` is wrong and its `cure`."""
+    """The error for fiducials that do not determine a transformation: `what` is wrong, and its `cure`."""
 
     def __init__(self, what: str, cure: str) -> None:
         super().__init__(f"{what}; {cure}")
@@ -59,14 +61,14 @@ class InnerOrientation:
 
     @property
     def parameters(self) -> dict[str, float]:
-        """Parameters by name, as the formulas above have them."""
+        """Parameters by name, as in the formulas of this module."""
         names = ("a0", "a1", "a2", "b0", "b1", "b2", "c1", "c2")
         values = dict(zip(names, self.matrix[[0, 0, 0, 1, 1, 1, 2, 2], [2, 0, 1, 2, 0, 1, 0, 1]].tolist(), strict=True))
         return {name: values[name] for name in PARAMETERS[self.transformation]}
 
     @property
     def redundancy(self) -> int:
-        """Observed coordinates less parameters."""
+        """Redundancy: observed coordinates minus parameters."""
         return self.residuals.size - len(PARAMETERS[self.transformation])
 
     @property
@@ -77,16 +79,16 @@ class InnerOrientation:
 
     @property
     def worst(self) -> int:
-        """Position of the fiducial with the longest residual."""
+        """Index of the fiducial with the longest residual."""
         return int(np.argmax(np.hypot(*self.residuals.T)))
 
     def to_mm(self, scan: Points) -> Points:
-        """Scan coordinates (px) in the system of the fiducials (mm)."""
+        """Transforms scan coordinates (px) to the system of the fiducials (mm)."""
         return transformed(self.matrix, scan)
 
 
 def transformed(matrix: Float[np.ndarray, "*point 3 3"], points: Points) -> Points:
-    """Points under one matrix, or each under its own."""
+    """Transforms points by one matrix, or each by its own matrix."""
     x, y, w = np.moveaxis((matrix[..., :2] @ points[..., None])[..., 0] + matrix[..., 2], -1, 0)
     return np.stack([x / w, y / w], -1)
 
@@ -101,7 +103,7 @@ def inner_orientation(
 ) -> InnerOrientation:
     """The transformation of one image from its measured fiducials (px) to the calibrated ones (mm).
 
-    Raises: FiducialError where they are too few or lie so that they do not determine it.
+    Raises: FiducialError if they are too few or do not determine it.
     """
     few = fewest_fiducials(transformation)
     better = f"measure at least {few}, better {few + 1}"
@@ -127,7 +129,7 @@ def inner_orientation(
 
 
 class _Reduced(NamedTuple):
-    """Points about their mean in units of their root mean square distance, and the matrix that does it."""
+    """Points relative to their mean, in units of their root mean square distance, and the matrix of this reduction."""
 
     points: Points
     matrix: Matrix
@@ -142,7 +144,7 @@ def _reduced(points: Points) -> _Reduced:
 
 
 def _design(transformation: str, q: Points) -> Float[np.ndarray, "row parameter"]:
-    """Derivatives of all x, then of all y, by the parameters of a transformation that is linear in them."""
+    """Derivatives of all x, then of all y, with respect to the parameters of a linear transformation."""
     u, v = q.T
     one, zero = np.ones_like(u), np.zeros_like(u)
     if transformation == "conformal":
@@ -151,12 +153,12 @@ def _design(transformation: str, q: Points) -> Float[np.ndarray, "row parameter"
 
 
 def _by_denominator(q: Points, at: Points) -> Float[np.ndarray, "row 2"]:
-    """Derivatives of all x, then of all y, by c1 and c2, times the denominator; `at`: transformed points."""
+    """Derivatives of all x, then y, with respect to c1 and c2, times the denominator; `at`: transformed points."""
     return np.r_[-at[:, :1] * q, -at[:, 1:] * q]
 
 
 def _determinacy(transformation: str, q: Points) -> float:
-    """Smallest over largest singular value of the equations, for the transformation that changes nothing."""
+    """Ratio of minimum and maximum singular value of the equations, at the identity transformation."""
     design = _design(transformation, q)
     if transformation == "projective":
         design = np.c_[design, _by_denominator(q, q)]
@@ -174,7 +176,7 @@ def _linear(transformation: str, q: Points, calibrated: Points) -> Matrix:
 
 
 def _projective(q: Points, calibrated: Points) -> Matrix | None:
-    """Gauss-Newton from the affine transformation; None where it does not converge."""
+    """Gauss-Newton from the affine transformation; None if it does not converge."""
     matrix = _linear("affine", q, calibrated)
     linear, size = _design("affine", q), np.abs(calibrated).max()
     for _ in range(NEWTON_STEPS):

@@ -10,8 +10,8 @@
     bal              v = f (1 + k1 r^2 + k2 r^4) (xn, yn) - (x, y),  r^2 = xn^2 + yn^2
 
 D as in `brown`. Coefficients of `metashape` and `bal` belong to c = 1; their f is in the unit of the rays. The residual
-of `metashape` is turned to y up at the end, as that of all models. Sources: aicon: balanced radial distortion of
-Luhmann et al. (2014), R0 is the second zero of the radial curve, always held; metashape: Agisoft's manual, appendix
+of `metashape` is converted to y up at the end, as for all models. Sources: aicon: balanced radial distortion of
+Luhmann et al. (2014), R0 is the second zero of the radial curve, always fixed; metashape: Agisoft's manual, appendix
 "camera models", without its P3, P4; bal: Agarwal et al. (2010).
 """
 

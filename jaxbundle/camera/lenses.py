@@ -1,7 +1,7 @@
 """Camera models of wide-angle and of strongly distorting lenses; the residual is formed in the image, v down.
 
     (u, v) = (xn, -yn) = (p_x, -p_y) / -p_z,  r^2 = u^2 + v^2,  depth = -p_z
-    residual = (f x' + b1 x' + b2 y', f y') - (u_measured - x0, v_measured - y0), turned to y up at the end
+    residual = (f x' + b1 x' + b2 y', f y') - (u_measured - x0, v_measured - y0), converted to y up at the end
 
     opencv-rational  (x', y') = (u, v) (1 + K1 r^2 + K2 r^4 + K3 r^6) / (1 + K4 r^2 + K5 r^4 + K6 r^6) + decentring
     fisheye          (x, y) = (u, v) atan(r) / r,  q^2 = x^2 + y^2
@@ -12,8 +12,8 @@
     division         (x', y') = (u, v) 2 / (1 + sqrt(1 - 4 k r^2))                   Fitzgibbon (2001)
     eucm             (x', y') = (u, v) / (alpha sqrt(beta r^2 + 1) + 1 - alpha)      Khomutenko et al. (2016)
 
-Decentring is (P1 (r^2 + 2 x^2) + 2 P2 x y, P2 (r^2 + 2 y^2) + 2 P1 x y), as in `brown`; OpenCV and COLMAP call this P1
-p2 and this P2 p1. atan(r) is the angle from the axis of a point before the camera, less than a right angle. Sources of
+Decentring is (P1 (r^2 + 2 x^2) + 2 P2 x y, P2 (r^2 + 2 y^2) + 2 P1 x y), as in `brown`; P1 and P2 are p2 and p1 of
+OpenCV and COLMAP. atan(r) is the angle between the axis and a point in front of the camera, below 90 deg. Sources of
 opencv-rational and of fisheye without decentring and thin prism: OpenCV's documentation of calib3d; of the others: the
 camera models of COLMAP.
 """
@@ -24,7 +24,7 @@ from jaxbundle.camera.model import CameraModel, ImagePoint, reduced
 from jaxbundle.geometry.rotation import Scalar
 from jaxbundle.numerics.host import array_module
 
-SMALL = 1e-4  # of r^2: below, the next term of the series of atan(r) / r, r^8 / 9, is under 1e-16
+SMALL = 1e-4  # limit of r^2: below it, the next term of the series of atan(r) / r, r^8 / 9, is below 1e-16
 
 
 def _normalised(photo_vector: Vector) -> ImagePoint:
@@ -34,14 +34,14 @@ def _normalised(photo_vector: Vector) -> ImagePoint:
 
 
 def _compared(point: ImagePoint, affine: tuple[Scalar, ...], y_axis: Scalar, measured: ImagePoint) -> ImagePoint:
-    """Residual of (x', y') with (f, x0, y0, b1, b2)."""
+    """The residual of (x', y') with (f, x0, y0, b1, b2)."""
     f, x0, y0, b1, b2 = affine
     x, y = reduced(measured, x0, y0, 1.0, y_axis)
     return (f + b1) * point[0] + b2 * point[1] - x, -f * point[1] - y
 
 
 def _angle_over_tangent(r2: Scalar) -> Scalar:
-    """atan(r) / r, with derivatives also at r = 0."""
+    """The function atan(r) / r, with derivatives also at r = 0."""
     xp = array_module(r2)
     small = xp.real(r2) < SMALL
     r = xp.sqrt(xp.where(small, 1.0, r2))

@@ -1,10 +1,10 @@
-"""Camera models: what lies between the photo vector and the residual of a measured image point.
+"""Camera models: functions from the photo vector to the residual of a measured image point.
 
 A model is a name, the names of its interior elements and one differentiable function of scalars
 
     residual(interior, photo_vector, measured) -> (v_x, v_y),        v = computed - observed, unit of the rays, y up
 
-It needs no derivative: autodiff gives it. Two forms are equally good:
+Derivatives are computed by autodiff. Two forms are possible:
 
     backward (photogrammetric)    the measurement is corrected, v is formed in the corrected plane
     forward (computer vision)     the projection is distorted, v is formed in the image
@@ -12,11 +12,11 @@ It needs no derivative: autodiff gives it. Two forms are equally good:
 Notation of all models:
 
     (xs, ys) = -c (p_x, p_y) / p_z,  (xn, yn) the same for c = 1
-    (x, y) = ((u - x0) s, +-(v - y0) s)    reduced measurement, s = pixel_size; y_axis = -1 where v points down
+    (x, y) = ((u - x0) s, +-(v - y0) s)    reduced measurement, s = pixel_size; y_axis = -1 if v points down
 
-`pixel_size` and `y_axis` are interior elements like the others, but always held, as are all of `HELD`.
+`pixel_size` and `y_axis` are interior elements like the others, but always fixed, like all of `HELD`.
 
-A sensor that is not a photograph differs in the number of its residuals only. An independent model sees a point in
+Sensors other than photographs differ only in the number of residuals. An independent model measures a point with
 three coordinates, with the scale as its interior element:
 
     residual((scale,), p, (x, y, z)) -> (scale p_x - x, scale p_y - y, scale p_z - z)
@@ -37,36 +37,36 @@ Measured = tuple[Scalar, ...]
 Residual = tuple[Scalar, ...]
 SENSOR = ("pixel_size", "y_axis")
 CORRECTIONS = ("refraction", "earth_curvature")
-HELD = (*SENSOR, *CORRECTIONS, "grid_base", "R0")  # they define a model or its unit, or are known beforehand
+HELD = (*SENSOR, *CORRECTIONS, "grid_base", "R0")  # they define a model or its unit, or are known
 
 
 @dataclass(frozen=True)
 class CameraModel:
-    """A camera model, or another sensor that sees points in axes of its own."""
+    """A camera model, or another sensor that measures points in its own axes."""
 
     name: str
     elements: tuple[str, ...]
-    """Names of the scalars that `residual` takes as `interior`."""
+    """Names of the scalars in the argument `interior` of `residual`."""
     residual: Callable[..., Residual]
-    """(interior, photo vector, measured numbers) -> residuals, differentiable."""
+    """Differentiable function (interior, photo vector, measured numbers) -> residuals."""
     components: int = 2
-    """Residuals of a ray, each with a sigma."""
+    """Number of residuals of a ray, each with a sigma."""
     numbers: int = 2
-    """Measured numbers of a ray: as many as residuals, or more where constants stand behind them."""
+    """Number of measured numbers of a ray: equal to the residuals, or more with additional constants."""
 
     @property
     def photographs(self) -> bool:
-        """Whether a direction is measured, by two coordinates: a point then lies before or behind the camera."""
+        """Whether two coordinates of a direction are measured: a point is then in front of or behind the camera."""
         return self.components == 2
 
     @property
     def estimable(self) -> tuple[str, ...]:
-        """Elements that an adjustment may estimate."""
+        """Names of the elements that an adjustment may estimate."""
         return tuple(name for name in self.elements if name not in HELD)
 
 
 def model_defect(model: CameraModel) -> str:
-    """What keeps a camera model from being one, as the end of a sentence; "" if nothing. A model is tried once."""
+    """The problem of an invalid camera model, as the end of a sentence; "" for a valid one. A model is tried once."""
     elements = model.elements
     if not isinstance(model.name, str):
         return f"has a name of type {type(model.name).__name__}, not a string"
@@ -78,8 +78,8 @@ def model_defect(model: CameraModel) -> str:
         return f"has a residual of type {type(model.residual).__name__}, not a function"
     try:
         return _tried(model)
-    except TypeError:  # what is static in a program must have a hash
-        return "cannot be hashed: its residual is an object that holds arrays or lists"
+    except TypeError:  # static arguments of a program must have a hash
+        return "cannot be hashed: its residual is an object that contains arrays or lists"
 
 
 @cache
@@ -88,17 +88,17 @@ def _tried(model: CameraModel) -> str:
 
 
 def reduced(measured: ImagePoint, x0: Scalar, y0: Scalar, pixel_size: Scalar, y_axis: Scalar) -> ImagePoint:
-    """(x, y): a measured point from the principal point, y up, unit of the principal distance."""
+    """The reduced measurement (x, y) from the principal point, y up, in the unit of the principal distance."""
     return (measured[0] - x0) * pixel_size, y_axis * (measured[1] - y0) * pixel_size
 
 
 @cache
 def mixture(models: tuple[CameraModel, ...]) -> CameraModel:
-    """One model for cameras of several: an interior padded with ones, then its number in `kinds`.
+    """One model for cameras with different models: interior elements padded with ones, then the index in `kinds`.
 
-    Every ray is computed with every kind and one result is chosen; cameras of a single kind give that kind itself.
+    Each ray is computed with all kinds and one result is selected; for a single kind this kind is returned.
 
-    Raises: ValueError for sensors that differ in the number of their residuals or measured numbers.
+    Raises: ValueError for sensors with different numbers of residuals or measured numbers.
     """
     kinds = tuple(dict.fromkeys(models))
     if len(kinds) == 1:
@@ -113,8 +113,8 @@ def mixture(models: tuple[CameraModel, ...]) -> CameraModel:
         v: Residual = (0.0 * measured[0],) * kinds[0].components
         for k, model in enumerate(kinds):
             chosen = interior[length] == k
-            # another kind's elements might be a 0 to divide by here, or coefficients of a high power of the measured
-            # coordinates, and 0 times the derivative of what is not finite is no 0
+            # elements of another kind might give a division by 0 here, or be coefficients of a high power of the
+            # measured # coordinates; and 0 times an infinite derivative is not 0
             own = tuple(jnp.where(chosen, element, 1.0) for element in interior[: len(model.elements)])
             point = tuple(jnp.where(chosen, number, 0.0) for number in measured)
             of_kind = model.residual(own, photo_vector, point)

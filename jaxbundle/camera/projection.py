@@ -1,4 +1,4 @@
-"""The way to the image: the measured point of a photo vector, for any camera model."""
+"""From space to image: the image point of a photo vector, for any camera model."""
 
 from typing import Any
 
@@ -10,22 +10,23 @@ from jaxbundle.camera.collinearity import Vector
 from jaxbundle.camera.model import CameraModel, ImagePoint, Residual
 from jaxbundle.geometry.rotation import Scalar
 
-NEWTON_STEPS = 10  # a distortion of the projection needs one, a strong correction of the measurement about six
+# Newton steps: a distortion of the projection needs one, a strong correction of the measurement about six
+NEWTON_STEPS = 10
 
 
 def projection(
     model: CameraModel, interior: tuple[Scalar, ...], photo_vector: Vector, steps: int = NEWTON_STEPS
 ) -> tuple[Float[Array, "..."], Float[Array, "..."]]:
-    """Image coordinates at which the residual of a photo vector vanishes, in the unit of the rays.
+    """Image coordinates with zero residual for a photo vector, in the unit of the rays.
 
-    By Newton's method from the principal point, so that any camera model will do; one step is exact for models that do
+    By Newton's method from the principal point, so any camera model can be used; one step is exact for models that do
     not correct the measurement.
 
     Args:
         model: camera model of photographs.
         interior: its elements, each a number or an array.
         photo_vector: p_x, p_y, p_z, arrays of any one shape.
-        steps: of Newton's method.
+        steps: number of steps of Newton's method.
     """
     one, zero = jnp.ones_like(photo_vector[0]), jnp.zeros_like(photo_vector[0])
     elements: dict[str, Any] = dict(zip(model.elements, interior, strict=False))

@@ -4,7 +4,6 @@ import atexit
 import os
 import sys
 from collections.abc import Callable
-from pathlib import Path
 from threading import Timer
 
 import jax
@@ -13,14 +12,10 @@ import typer
 from jaxbundle.cli.cluster import AUTOMATIC, Cluster
 from jaxbundle.cli.codes import Code, LostProcess
 from jaxbundle.cli.last_words import in_a_sentence
-from jaxbundle.numerics import programs
 from jaxbundle.numerics.devices import meet
-from jaxbundle.numerics.private_folder import private_folder, trim
+from jaxbundle.numerics.program_cache import keep_programs
 
-MOST_DEVICES = 8  # each device stores the full reduced normal equations
-# bytes of compiled programs: each new shape of a block and each new version adds 1 to 10 MB, so this is enough for #
-# some hundred programs; a deleted program is compiled again
-CACHE = 500_000_000
+MAX_DEVICES = 8  # each device stores the full reduced normal equations
 MEETING, LOST, WRITING = 120, 60, 3600  # seconds: waiting for all processes, for a silent one, for the report
 
 
@@ -30,16 +25,8 @@ def start(cluster: Cluster | None = None, processes: int = 1) -> None:
     Raises: typer.BadParameter for a cluster that cannot be joined.
     """
     jax.config.update("jax_enable_x64", True)
-    jax.config.update("jax_num_cpu_devices", max(1, min(_cores() // processes, MOST_DEVICES)))
-    cache, private = cache_folder(), None
-    if cache is not None:
-        private = private_folder(cache)
-    if private is not None:  # otherwise without cache: its content is executed
-        trim(private, CACHE)
-        jax.config.update("jax_compilation_cache_dir", str(private))
-        programs.keep_in(private / "programs")
-    jax.config.update("jax_persistent_cache_min_compile_time_secs", 0.0)
-    jax.config.update("jax_persistent_cache_min_entry_size_bytes", -1)
+    jax.config.update("jax_num_cpu_devices", max(1, min(_cores() // processes, MAX_DEVICES)))
+    keep_programs()
     if cluster is not None:
         _join(cluster)
 
@@ -106,19 +93,6 @@ def _end_at_once(before: Callable[[], None]) -> None:
     sys.stderr.flush()
     before()
     os._exit(Code.BAD_INPUT)
-
-
-def cache_folder() -> Path | None:
-    """The user's cache folder (XDG base directory specification, which ignores relative paths).
-
-    None for a user without a home.
-    """
-    given = Path(os.environ.get("XDG_CACHE_HOME", ""))
-    try:
-        folder = given if given.is_absolute() else Path.home() / ".cache"
-    except RuntimeError:
-        return None
-    return folder / "jaxbundle" if folder.is_absolute() else None
 
 
 def _cores() -> int:

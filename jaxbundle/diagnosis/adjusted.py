@@ -32,8 +32,9 @@ MISLEADING = (  # sigma0: above this, large residuals also occur at correct obse
 
 
 def findings(adjustment: Adjustment, start: Block | None = None) -> tuple[Finding, ...]:
-    """Returns the findings about a concrete adjustment. Findings that forbid its use come first; causes precede
-    consequences.
+    """Returns the findings about a concrete adjustment.
+
+    Findings that forbid its use come first; causes precede consequences.
 
     `start`: the block before the adjustment; if given, the causes of a failed convergence are searched for.
     """

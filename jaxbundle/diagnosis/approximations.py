@@ -26,16 +26,16 @@ from jaxbundle.orientation.sight import HALF, Sight, mostly_beyond, off, only, r
 MOST = 0.5  # an image is named if the point is behind it for this share of its rays
 FEW_BEHIND = 0.01  # share of all rays: real blocks have some distant or wrong points behind images
 ALIKE = 2.0  # times the angular misfit of the best cause: up to this, causes are named together
-MOST_CAUSES = 2
+MAX_CAUSES = 2
 ONE_PLACE = 1e-9  # tolerance of the coordinates
-LEAST_KNOWN = 4  # minimum number of rays of control to detect a mirrored system without other points
+MIN_KNOWN = 4  # minimum number of rays of control to detect a mirrored system without other points
 
 
 def mirrored_finding(block: Block, sight: Sight) -> Finding | None:
     """The finding about mirrored image coordinates, or a left-handed object system."""
     found = mirrored(sight)
     known = sight.is_known
-    if found is None and known[sight.point].sum() >= LEAST_KNOWN and not known.all():
+    if found is None and known[sight.point].sum() >= MIN_KNOWN and not known.all():
         alone = only(sight, known[sight.point])  # other points may be intersected in a mirrored system
         found = mirrored(alone)
     if found is None:
@@ -100,7 +100,7 @@ def _confusions(block: Block, sight: Sight) -> list[tuple[str, Bool[np.ndarray, 
         least = {k: _median(rest[k], explained[k]) for k in usual}
         best = min(usual, key=least.__getitem__)
         alike = [k for k in usual if least[k] <= ALIKE * least[best]]  # a rough start cannot distinguish them
-        words = " or ".join(alternatives[k].words for k in alike[:MOST_CAUSES])
+        words = " or ".join(alternatives[k].words for k in alike[:MAX_CAUSES])
         found.append((words, explained[best], alternatives[best].component))
         open_images = open_images & ~explained[best]
     return found

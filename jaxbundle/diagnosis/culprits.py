@@ -40,8 +40,10 @@ CURES = {
 
 
 def findings_of_suspects(suspects: Suspects, sigma0: float) -> tuple[Finding, ...]:
-    """Findings about probably wrong observations: one for each of the first suspicions, and one that counts the
-    others. `sigma0`: of the adjustment."""
+    """Findings about probably wrong observations: one for each of the first suspicions, and one that counts the others.
+
+    `sigma0`: of the adjustment.
+    """
     named, rest = suspects.suspicions[:NAMED], suspects.suspicions[NAMED:]
     before = [sigma0, *(suspicion.sigma0_without for suspicion in named)]
     found = [_finding(suspicion, sigma0) for suspicion, sigma0 in zip(named, before, strict=False)]

@@ -30,7 +30,7 @@ from jaxbundle.numerics.compilation import Compiled
 from jaxbundle.numerics.host import on_device, on_host
 
 ALL_ORDERS = 5  # points: all 120 orders of their names are tried; of more points those that exchange two names
-MOST_POINTS = 60  # of which 1770 pairs are tried
+MAX_POINTS = 60  # of which 1770 pairs are tried
 CLEARLY = 5.0  # times as large is the misfit of every other order
 
 
@@ -40,7 +40,7 @@ def exchanged_control(start: Block) -> tuple[Finding, ...]:
     `start`: the block as it was given to the adjustment, with orientations that its rays agree with.
     """
     control = as_observed(start)
-    if control is None or not LEAST <= len(control.point) <= MOST_POINTS:
+    if control is None or not LEAST <= len(control.point) <= MAX_POINTS:
         return ()
     group = control.block.groups[control.group]
     if not group.structure.observed.all():

@@ -25,7 +25,7 @@ from jaxbundle.orientation.sight import sight_of
 MARGIN = 0.01  # share of the format: marks on the border of scanned film lie slightly outside
 FEW = 0.01  # maximum share of rays outside that are treated as single errors
 SLIVER = 0.1  # share of width and of height: blocks with at least ten rays fill more
-LEAST_RAYS = 10
+MIN_RAYS = 10
 HALF_FULL = (0.25, 0.5 + 2 * MARGIN)  # share of the format that rays of an image of half resolution can reach
 Coordinates = Float[np.ndarray, "ray 2"]
 
@@ -65,7 +65,7 @@ def _formats(block: Block) -> list[_Format]:
         if camera.image_unit == "px" and camera.width and camera.height:
             elements = camera.model.elements
             pixel = float(block.interior.elements[k, elements.index("pixel_size")]) if "pixel_size" in elements else 1.0
-            formats.append(_Format(k, camera.width, camera.height, pixel if camera.metric else 0.0))
+            formats.append(_Format(k, camera.width, camera.height, pixel if camera.principal_distance_in_mm else 0.0))
     return formats
 
 
@@ -82,7 +82,7 @@ def _of_camera(block: Block, form: _Format, rays: Int[np.ndarray, " ray"], xy: C
     """Findings about one camera: a common cause for all its rays, or single rays."""
     camera = block.structure.cameras[form.camera].name
     outside = _outside(form, xy)
-    sliver = len(rays) >= LEAST_RAYS and not _fills(form, xy)
+    sliver = len(rays) >= MIN_RAYS and not _fills(form, xy)
     count = int(outside.sum())
     if not count and not sliver:
         return _half_resolution(block, form, rays, xy)
@@ -95,7 +95,7 @@ def _of_camera(block: Block, form: _Format, rays: Int[np.ndarray, " ray"], xy: C
         where = f"the {len(rays)} rays of camera {camera} fill {extent} of its {form.words}"
     for words, cure, changed in _causes(block, form):
         new = changed(xy)
-        if not _outside(form, new).any() and (_fills(form, new) or len(rays) < LEAST_RAYS):
+        if not _outside(form, new).any() and (_fills(form, new) or len(rays) < MIN_RAYS):
             return [
                 Finding(
                     Kind.FORMAT,
@@ -188,7 +188,7 @@ def _half_resolution(block: Block, form: _Format, rays: Int[np.ndarray, " ray"],
     np.maximum.at(extent, image, xy / form.size)
     count = np.bincount(image, minlength=len(extent))
     low, high = HALF_FULL
-    small = (count >= LEAST_RAYS) & (extent >= low).all(1) & (extent <= high).all(1)
+    small = (count >= MIN_RAYS) & (extent >= low).all(1) & (extent <= high).all(1)
     if not small.any() or (small | (count == 0)).all():
         return []
     coordinates = np.array(block.rays.coordinates)

@@ -34,7 +34,7 @@ def _of_camera(block: Block, k: int, rays: Int[np.ndarray, " ray"]) -> Finding |
     field = _field(diagonal, c)
     if PLAUSIBLE[0] <= field <= PLAUSIBLE[1]:
         return None
-    unit = "mm" if camera.metric or camera.image_unit == "mm" else camera.image_unit
+    unit = "mm" if camera.principal_distance_in_mm or camera.image_unit == "mm" else camera.image_unit
     known = camera.width is not None and camera.image_unit == "px"
     of = "format" if known else "rays"
     what = (
@@ -71,7 +71,7 @@ def _field(diagonal: float, c: float) -> float:
 
 def _cause(camera: Camera, c: float, pixel: float, diagonal: float) -> str:
     """The number in another unit, if that is likely."""
-    metric = camera.metric and pixel > 0
+    metric = camera.principal_distance_in_mm and pixel > 0
     tries = [
         ("pixel_size in micrometres: divide it by 1000", diagonal / 1000, c, metric and pixel >= 0.5),
         (f"principal_distance in px: give {c * pixel:g} mm, or leave pixel_size out", diagonal, c * pixel, metric),

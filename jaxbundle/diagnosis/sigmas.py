@@ -18,7 +18,7 @@ from scipy.special import chdtri, fdtrc
 from jaxbundle.block.findings import Finding, Kind, Subject
 from jaxbundle.solve.adjustment import Adjustment
 from jaxbundle.statistics.reliability_tables import redundancy_numbers
-from jaxbundle.statistics.subsets import three_groups
+from jaxbundle.statistics.subsets import default_groups
 
 LEVEL = 0.05
 FEW = 3.0  # minimum redundancy of a group for a statement about its sigma
@@ -61,7 +61,7 @@ def group_factors(adjustment: Adjustment) -> list[GroupFactor]:
     numbers = redundancy_numbers(adjustment)
     squared = [np.asarray(v) ** 2 for v in adjustment.weighted_residuals]
     total, all_squares = adjustment.redundancy, float(adjustment.vtpv)
-    factors, groups = [], three_groups(adjustment.block)
+    factors, groups = [], default_groups(adjustment.block)
     for group in groups:
         redundancy, squares = (
             float(sum(t[mask].sum() for t, mask in zip(table, group.masks, strict=True)))

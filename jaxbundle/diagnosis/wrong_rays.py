@@ -3,8 +3,8 @@
 Gross errors of thousands of pixels distort a least-squares solution so much that large residuals also occur at correct
 rays. The approximate values are not yet distorted: rays with residuals many times larger than those of the others are
 left out first, and those that still do not fit afterwards are wrong. If this fails, robust weights
-(solve/reweighting.py) are tried. The findings are single rays, rays with exchanged names or axes, control points that contradict all their
-rays, or whole images.
+(solve/reweighting.py) are tried. The findings are single rays, rays with exchanged names or axes, control points that
+contradict all their rays, or whole images.
 """
 
 import equinox as eqx
@@ -25,12 +25,11 @@ from jaxbundle.solve.weight_functions import Danish
 from jaxbundle.statistics.hypotheses import image_points
 
 CURED = 0.3  # maximum share of sigma0 that remains without the named rays
-FAR_OFF = (
-    5.0  # times the median residual of the start: errors of rough values are smaller; all rays are tested at the end
-)
+# times the median residual of the start: errors of rough values are smaller; all rays are tested at the end
+FAR_OFF = 5.0
 OUTLYING = 10.0  # times sigma at the end: not a random error
 NO_WEIGHT = 1e6  # times its sigma: a ray with practically no weight
-MOST_WRONG = 0.1  # share of the rays: if more are left out, the wrong rays may have been chosen
+MAX_WRONG = 0.1  # share of the rays: if more are left out, the wrong rays may have been chosen
 WHOLE_IMAGE = 0.5  # an image is named instead of its rays from this share of rays
 ITERATIONS = 50  # maximum number for one adjustment
 SAME_PLACE = 0.1  # share of the distance of two image points: below this the exchanged names fit
@@ -44,7 +43,7 @@ def wrong_rays(start: Block, adjustment: Adjustment) -> tuple[Finding, ...]:
     found, low = without
     after = float(found.sigma0)
     cured = after <= CURED * float(adjustment.sigma0) or adjustment.status is not Status.CONVERGED
-    if not cured or not 0 < len(low) <= MOST_WRONG * len(start.structure.ray_image):
+    if not cured or not 0 < len(low) <= MAX_WRONG * len(start.structure.ray_image):
         return ()
     v = np.asarray(found.residuals[0])
     low = low[np.argsort(-np.linalg.norm(v[low], axis=1), kind="stable")]
@@ -66,7 +65,7 @@ def _without_far_off(start: Block) -> tuple[Adjustment, Int[np.ndarray, " ray"]]
     v = np.asarray(ray_residuals(unknowns_of(start), observations_of(start))).T / sigmas
     size = np.linalg.norm(v, axis=1)
     far = np.flatnonzero(~(size <= FAR_OFF * np.nanmedian(size)))
-    if not 0 < len(far) <= MOST_WRONG * len(size):
+    if not 0 < len(far) <= MAX_WRONG * len(size):
         return None
     loose = sigmas.copy()
     loose[far] *= NO_WEIGHT

@@ -1,1 +1,1 @@
-"""What knows no photograph: rotations."""
+"""Geometry without photographs: rotations, similarities, vectors."""

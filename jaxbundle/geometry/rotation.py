@@ -7,10 +7,10 @@ Elementary rotations are right-handed about x and z; about y the two systems dif
     alpha-omega-kappa   R = A_y(alpha) A_x(omega) A_z(kappa),  A_y = [[c, 0, -s], [0, 1, 0], [s, 0, c]]
     omega-phi-kappa     R = R_x(omega) R_y(phi) R_z(kappa)
 
-The first is the textbook's matrix (164) with its five signs corrected. A scalar may be an array of any shape:
-every function works element by element. The way back from a matrix splits one rotation off and reads the other two
-from the exact remainder, so the three angles reproduce the matrix also at the singular attitude
-(omega, phi = +-90 deg), where only the sum or difference of the outer two is determined.
+The first is the matrix (164) of Text 000 with five corrected signs. A scalar may be an array of any shape: all
+functions work element by element. Angles of a matrix are computed by splitting off one rotation and taking the other
+two from the exact remainder, so the three angles reproduce the matrix also at the singular attitude (omega, phi = +-90
+deg), where only the sum or difference of the two outer angles is determined.
 """
 
 from collections.abc import Callable
@@ -20,7 +20,7 @@ import jax.numpy as jnp
 import numpy as np
 from jaxtyping import Array, Inexact
 
-# complex too: the matrices from angles are analytic, as complex steps need
+# also complex: the matrices of angles are analytic, as complex steps require
 Scalar = Inexact[Array | np.ndarray, "..."] | float
 Rotation = tuple[Scalar, ...]
 Angles = tuple[Scalar, Scalar, Scalar]
@@ -34,7 +34,7 @@ def product(left: Rotation, right: Rotation) -> Rotation:
 
 
 def transpose(rotation: Rotation) -> Rotation:
-    """The inverse rotation."""
+    """The inverse rotation, which is the transpose."""
     return tuple(rotation[3 * j + i] for i in range(3) for j in range(3))
 
 
@@ -66,7 +66,7 @@ def about_z(angle: Scalar) -> Rotation:
 
 
 def from_alpha_omega_kappa(alpha: Scalar, omega: Scalar, kappa: Scalar) -> Rotation:
-    """The textbook's matrix, corrected: A_y(alpha) A_x(omega) A_z(kappa)."""
+    """The corrected matrix of Text 000: A_y(alpha) A_x(omega) A_z(kappa)."""
     ca, sa = jnp.cos(alpha), jnp.sin(alpha)
     cw, sw = jnp.cos(omega), jnp.sin(omega)
     ck, sk = jnp.cos(kappa), jnp.sin(kappa)
@@ -109,7 +109,7 @@ def to_omega_phi_kappa(rotation: Rotation) -> Angles:
 def from_rotation_vector(x: Scalar, y: Scalar, z: Scalar) -> Rotation:
     """Rotation about the direction (x, y, z) by its length (Rodrigues)."""
     squared = x * x + y * y + z * z
-    small = squared < 1e-8  # below, the next term of either series is under 1e-17
+    small = squared < 1e-8  # below this the next term of both series is less than 1e-17
     safe = jnp.where(small, 1.0, squared)
     angle = jnp.sqrt(safe)
     a = jnp.where(small, 1 - squared / 6, jnp.sin(angle) / angle)
@@ -128,7 +128,7 @@ def from_rotation_vector(x: Scalar, y: Scalar, z: Scalar) -> Rotation:
 
 
 def to_rotation_vector(rotation: Rotation) -> Angles:
-    """Vector of `from_rotation_vector`; its length is at most pi."""
+    """The rotation vector of `from_rotation_vector`; its length is at most pi."""
     q0, qx, qy, qz = to_quaternion(rotation)
     squared = qx * qx + qy * qy + qz * qz
     small = squared < 1e-16
@@ -138,7 +138,7 @@ def to_rotation_vector(rotation: Rotation) -> Angles:
 
 
 def from_quaternion(q0: Scalar, qx: Scalar, qy: Scalar, qz: Scalar) -> Rotation:
-    """Rotation of a quaternion, scalar part first; it need not be of unit length."""
+    """Rotation of a quaternion, scalar part first; it does not need unit length."""
     s = 2 / (q0 * q0 + qx * qx + qy * qy + qz * qz)
     return (
         1 - s * (qy * qy + qz * qz),
@@ -163,8 +163,8 @@ def to_quaternion(rotation: Rotation) -> tuple[Scalar, Scalar, Scalar, Scalar]:
         (a3 - c1, a2 + b1, squares[2], b3 + c2),
         (b1 - a2, a3 + c1, b3 + c2, squares[3]),
     )
-    # by one number, a reduction that is computed once: comparisons that a compiler repeats are rounded differently, and
-    # where two squares are equal rows of opposite sign would be mixed; and a maximum would mix their derivatives
+    # with one index from a reduction that is computed once: repeated comparisons may be rounded differently, which
+    # would # mix rows of opposite sign for equal squares; and a maximum would mix their derivatives
     largest = jnp.argmax(jnp.stack(jnp.broadcast_arrays(*squares)), 0)
 
     def chosen(k0: Scalar, k1: Scalar, k2: Scalar, k3: Scalar) -> Scalar:
@@ -178,7 +178,7 @@ def to_quaternion(rotation: Rotation) -> tuple[Scalar, Scalar, Scalar, Scalar]:
 
 
 class RotationSystem(NamedTuple):
-    """Three named angles and the two ways between them and the matrix."""
+    """Three named angles, and the functions from angles to matrix and back."""
 
     name: str
     angles: tuple[str, str, str]

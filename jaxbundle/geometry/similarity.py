@@ -1,4 +1,4 @@
-"""Similarity transformations of space, and the one in closed form between two sets of points.
+"""Similarity transformations in space, and their closed form for two sets of points.
 
     X = lambda R x + T,        sum w |lambda R x + T - X|^2 = min,        det R = +1
 
@@ -15,27 +15,27 @@ from jaxtyping import Array, Bool, Float
 
 
 class Similarity(eqx.Module):
-    """X = scale * rotation x + translation."""
+    """A similarity transformation X = scale * rotation x + translation."""
 
     scale: Float[Array, "*solution"]
-    """Length in the object system over length in the model."""
+    """Ratio of a length in the object system to the length in the model."""
     rotation: Float[Array, "*solution 3 3"]
     """Matrix object_from_model, determinant +1."""
     translation: Float[Array, "*solution 3"]
     """Object coordinates of the origin of the model."""
 
     def __call__(self, points: Float[Array, "point 3"]) -> Float[Array, "*solution point 3"]:
-        """Object coordinates of model points."""
+        """Transforms model points to object coordinates."""
         turned = jnp.einsum("...ij,pj->...pi", self.rotation, jnp.asarray(points))
         return self.scale[..., None, None] * turned + self.translation[..., None, :]
 
 
 class ClosedForm(NamedTuple):
-    """The similarity, and what the points tell about it."""
+    """The similarity of two sets of points, and its quality."""
 
     similarity: Similarity
     singular_values: Float[Array, "3"]
-    """D, the largest first: two are 0 for points on a line, one for points in a plane."""
+    """Singular values D in decreasing order: two are 0 for points on a line, one for points in a plane."""
     mirrored: Bool[Array, ""]
     """Whether a reflection fits better than any rotation."""
 
@@ -43,7 +43,7 @@ class ClosedForm(NamedTuple):
 def similarity(
     model: Float[Array, "point 3"], object_points: Float[Array, "point 3"], weights: Float[Array, " point"]
 ) -> ClosedForm:
-    """The closed form; a weight 0 leaves a point out. jit and vmap go through it."""
+    """Computes the similarity in closed form; a weight of 0 excludes a point. It works with jit and vmap."""
     total, used = jnp.sum(weights), (weights > 0)[:, None]
     x, o = jnp.where(used, model, 0.0), jnp.where(used, object_points, 0.0)
     x_centre, o_centre = weights @ x / total, weights @ o / total

@@ -1,6 +1,6 @@
 """Eigenvalues and eigenvectors of symmetric 3 x 3 matrices by Jacobi's rotations (1846).
 
-Everything is a scalar that may be an array of any shape.
+All values are scalars, which may be arrays of any shape.
 """
 
 import jax.numpy as jnp
@@ -9,18 +9,18 @@ from jax import lax
 from jaxbundle.geometry.rotation import Scalar
 from jaxbundle.geometry.vectors import Vector
 
-SWEEPS = 5  # quadratic convergence: four leave rounding
+SWEEPS = 5  # sweeps: convergence is quadratic, after four only rounding remains
 TINY = 1e-300
 
 Symmetric = tuple[Scalar, Scalar, Scalar, Scalar, Scalar, Scalar]
 
 
 def eigenvectors(m: Symmetric) -> tuple[Vector, tuple[Vector, Vector, Vector]]:
-    """Eigenvalues, the largest first, and unit eigenvectors; `m`: xx, xy, xz, yy, yz, zz."""
+    """Eigenvalues in decreasing order, and unit eigenvectors; `m`: xx, xy, xz, yy, yz, zz."""
     xx, xy, xz, yy, yz, zz = jnp.broadcast_arrays(*m)
     one, zero = jnp.ones_like(xx), jnp.zeros_like(xx)
     start = (xx, yy, zz, yz, xz, xy, ((one, zero, zero), (zero, one, zero), (zero, zero, one)))
-    # diagonal d0 d1 d2; o0, o1, o2 stand opposite: o0 couples 1 and 2
+    # diagonal d0 d1 d2; o0, o1, o2 are opposite: o0 couples 1 and 2
     d0, d1, d2, *_, columns = lax.fori_loop(0, SWEEPS, lambda _, s: _sweep(s), start)
     values, vectors = [d0, d1, d2], list(columns)
     for i, j in ((0, 1), (1, 2), (0, 1)):
@@ -33,7 +33,7 @@ def eigenvectors(m: Symmetric) -> tuple[Vector, tuple[Vector, Vector, Vector]]:
 
 
 def _sweep(state: tuple) -> tuple:
-    """One rotation for each pair of axes."""
+    """One sweep: a rotation for each pair of axes."""
     *numbers, columns = state
     d, o, columns = list(numbers[:3]), list(numbers[3:]), list(columns)
     for p, q, r in ((0, 1, 2), (0, 2, 1), (1, 2, 0)):

@@ -33,7 +33,7 @@ def topocentric(
 
     Args:
         positions: latitude, longitude in deg, height in m, one row per point.
-        origin: the same of the origin.
+        origin: latitude, longitude, height of the origin.
     """
     b, l = np.radians(origin[:2])  # noqa: E741
     east = [-np.sin(l), np.cos(l), 0.0]

@@ -23,7 +23,7 @@ def times(s: Scalar, a: Vector) -> Vector:
 
 
 def dot(a: Vector, b: Vector) -> Scalar:
-    """The scalar product."""
+    """The scalar product of two vectors."""
     return a[0] * b[0] + a[1] * b[1] + a[2] * b[2]
 
 
@@ -33,7 +33,7 @@ def squared(a: Vector) -> Scalar:
 
 
 def cross(a: Vector, b: Vector) -> Vector:
-    """The vector product."""
+    """The vector product of two vectors."""
     return a[1] * b[2] - a[2] * b[1], a[2] * b[0] - a[0] * b[2], a[0] * b[1] - a[1] * b[0]
 
 

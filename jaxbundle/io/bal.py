@@ -28,9 +28,9 @@ from jaxbundle.geometry import rotation
 from jaxbundle.geometry.rotation import OMEGA_PHI_KAPPA
 from jaxbundle.io.noted import measured_again
 from jaxbundle.io.ranges import (
-    LARGEST_COEFFICIENT,
-    LARGEST_IMAGE_COORDINATE,
-    LARGEST_LENGTH,
+    MAX_COEFFICIENT,
+    MAX_IMAGE_COORDINATE,
+    MAX_LENGTH,
     NOTHING,
     PRINCIPAL_DISTANCES,
     TURNS,
@@ -140,8 +140,7 @@ def _numbers(file: str, text: bytes, promised: int) -> Numbers:
 
 
 def _what_is_wrong(file: str, text: bytes, promised: int, readable: bool) -> BlockError:
-    """Index of the first field that is not a number, else of the first incomplete observation, else the number of
-    fields."""
+    """Index of the first wrong field: not a number, or in an incomplete observation; else the number of fields."""
     cameras, points, observations = _counts(file, text)
     wrong = None if readable else next((field for field in FIELD.finditer(text) if not _is_finite(field[0])), None)
     if wrong:
@@ -180,10 +179,10 @@ def _require_indices(file: str, text: bytes, rays: Float[np.ndarray, "ray 4"], c
 def _require_sizes(file: str, text: bytes, numbers: Numbers, cameras: int, observations: int) -> None:
     """Raises BlockError for the first number that is outside the range of its quantity."""
     ends = 4 * observations, 4 * observations + 9 * cameras
-    limits = np.full(len(numbers), LARGEST_LENGTH)
-    limits[: ends[0]] = LARGEST_IMAGE_COORDINATE
+    limits = np.full(len(numbers), MAX_LENGTH)
+    limits[: ends[0]] = MAX_IMAGE_COORDINATE
     rows = limits[ends[0] : ends[1]].reshape(-1, 9)
-    rows[:, :3], rows[:, 6], rows[:, 7:] = TURNS * 2 * np.pi, PRINCIPAL_DISTANCES[1], LARGEST_COEFFICIENT
+    rows[:, :3], rows[:, 6], rows[:, 7:] = TURNS * 2 * np.pi, PRINCIPAL_DISTANCES[1], MAX_COEFFICIENT
     size = np.abs(numbers)
     smallest = np.zeros(len(numbers))
     smallest[ends[0] : ends[1]].reshape(-1, 9)[:, 6] = PRINCIPAL_DISTANCES[0]

@@ -38,7 +38,7 @@ from jaxbundle.io.settings import CameraSection, DatumSection, Settings
 from jaxbundle.io.tables import Table
 from jaxbundle.io.unused import unused
 from jaxbundle.orientation.intersection import intersect
-from jaxbundle.orientation.planes_and_lines import with_figures
+from jaxbundle.orientation.planes_and_lines import with_planes_and_lines
 
 
 def read_block_folder(path: str | Path, *, check_start: bool = True) -> Block:
@@ -73,7 +73,7 @@ def block_of(
         problems = weaknesses(block)
     elif check_start or not without_orientation(block).any():
         block = intersect(block)
-        block, problems = with_figures(with_findings(*prepared(block)) if check_start else block)
+        block, problems = with_planes_and_lines(with_findings(*prepared(block)) if check_start else block)
         problems = problems or validate(block) or _wrong_elements(block, settings.datum)
     else:
         problems = weaknesses(block)

@@ -8,7 +8,7 @@ from jaxtyping import Float
 
 from jaxbundle.block.block import CENTRE_ELEMENTS, Block, Camera, Structure
 from jaxbundle.block.given import require_a
-from jaxbundle.block.navigation import ATTITUDES, GNSS
+from jaxbundle.block.navigation import ATTITUDES, GNSS_STATIONS
 from jaxbundle.block.observation_kinds import CONTROL, PARAMETERS, STATIONS, ObservationKind, interior_priors
 from jaxbundle.block.problems import BlockError, Problem
 from jaxbundle.block.wording import RADIANS
@@ -54,7 +54,7 @@ def _require_writable(block: Block) -> None:
     known = {
         CONTROL,
         STATIONS,
-        GNSS,
+        GNSS_STATIONS,
         ATTITUDES[system],
         PARAMETERS,
         *table_of_kind(),
@@ -88,7 +88,7 @@ def _interior_kinds(block: Block) -> list[ObservationKind]:
 
 def _lost(block: Block) -> list[Problem]:
     """Problems of parameters that belong to no table."""
-    known = {GNSS, *ATTITUDES.values(), *table_of_kind()}
+    known = {GNSS_STATIONS, *ATTITUDES.values(), *table_of_kind()}
     structures = [group.structure for group in block.groups if group.structure.kind in known]
     used = {
         int(p)
@@ -168,7 +168,7 @@ def _camera(
     model = named_model(camera.model) or camera.model
     section: dict[str, Any] = {
         "image_unit": camera.image_unit,
-        "pixel_size": elements["pixel_size"] if camera.metric else None,
+        "pixel_size": elements["pixel_size"] if camera.principal_distance_in_mm else None,
         "width": camera.width,
         "height": camera.height,
         "principal_distance": elements["principal_distance"],

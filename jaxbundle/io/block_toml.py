@@ -202,7 +202,7 @@ def parsed_toml(file: str, text: str, noted: Noted) -> dict[str, Any] | None:
         cure = "correct the line"
         if bare := UNQUOTED.fullmatch(at):
             cure = f'put text in quotes: {bare[1]} = "{shown(bare[2])}"'
-        noted.add(file, line, f"not valid TOML:  {shown(str(error).split(' (at ')[0])}: {shown(at)}", cure)
+        noted.add(file, line, f"not valid TOML: {shown(str(error).split(' (at ')[0])}: {shown(at)}", cure)
     return None
 
 

@@ -11,7 +11,7 @@ import numpy as np
 from jaxtyping import Float, Int
 
 from jaxbundle.block.block import Block
-from jaxbundle.block.navigation import ATTITUDES, GNSS
+from jaxbundle.block.navigation import ATTITUDES, GNSS_STATIONS
 from jaxbundle.block.observation_kinds import STATIONS, ObservationGroup, ObservationKind
 from jaxbundle.block.problems import Problem, shown
 from jaxbundle.block.wording import RADIANS
@@ -107,7 +107,7 @@ def section_of(toml: BlockToml, name: str) -> NavigationSection:
 
 def navigation_kind(kind: str, system: str) -> ObservationKind:
     """The kind of observation of a table that has systematic errors."""
-    return GNSS if kind == "stations" else ATTITUDES[system]
+    return GNSS_STATIONS if kind == "stations" else ATTITUDES[system]
 
 
 def unit_of(kind: str, lengths: str, angles: str) -> tuple[float, str]:

@@ -101,8 +101,10 @@ def _prefixes(wanted: Sequence[str], known: Sequence[str]) -> list[tuple[str, Ca
 
 
 def slip(name: str, known: Iterable[str]) -> str:
-    """Finds the only known name that differs by one slip; "" where there is none or more than one. An exchange of two
-    neighbouring characters counts before one wrong, missing or additional character."""
+    """Finds the only known name that differs by one slip; "" where there is none or more than one.
+
+    An exchange of two neighbouring characters counts before one wrong, missing or additional character.
+    """
     if len(name) < SHORTEST:
         return ""
     exchanged, replaced = [], []

@@ -14,11 +14,11 @@ from enum import Enum
 from jaxbundle.block.observation_kinds import ObservationKind
 from jaxbundle.geometry.rotation import OMEGA_PHI_KAPPA, RotationSystem
 from jaxbundle.io.ranges import (
-    LARGEST_COVARIANCE,
-    LARGEST_IMAGE_COORDINATE,
-    LARGEST_LENGTH,
-    LARGEST_SIGMA,
-    LARGEST_TIME,
+    MAX_COVARIANCE,
+    MAX_IMAGE_COORDINATE,
+    MAX_LENGTH,
+    MAX_SIGMA,
+    MAX_TIME,
     largest_angle,
 )
 
@@ -39,14 +39,14 @@ class Holds(Enum):
 class Unit(Enum):
     """Unit of a column of numbers, in words, and the maximum number that is read; for angles 100 full turns."""
 
-    OBJECT = "object unit", LARGEST_LENGTH
-    OBJECT_SQUARED = "object unit squared", LARGEST_COVARIANCE
+    OBJECT = "object unit", MAX_LENGTH
+    OBJECT_SQUARED = "object unit squared", MAX_COVARIANCE
     ANGLE = "angle unit", math.inf
-    RAYS = "unit of the rays", LARGEST_IMAGE_COORDINATE
-    MM = "mm", LARGEST_IMAGE_COORDINATE
-    PX = "px", LARGEST_IMAGE_COORDINATE
-    TIME = "any unit of time", LARGEST_TIME
-    NONE = "", LARGEST_LENGTH
+    RAYS = "unit of the rays", MAX_IMAGE_COORDINATE
+    MM = "mm", MAX_IMAGE_COORDINATE
+    PX = "px", MAX_IMAGE_COORDINATE
+    TIME = "any unit of time", MAX_TIME
+    NONE = "", MAX_LENGTH
 
     def __init__(self, words: str, maximum: float):
         self.words, self.maximum = words, maximum
@@ -74,7 +74,7 @@ class Column:
     def maximum(self, half_turn: float) -> float:
         """The maximum number that is read; `half_turn` in the angle unit."""
         if self.holds is Holds.SIGMA:
-            return LARGEST_SIGMA
+            return MAX_SIGMA
         return largest_angle(half_turn) if self.unit is Unit.ANGLE else self.unit.maximum
 
     @property

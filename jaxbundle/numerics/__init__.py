@@ -1,1 +1,1 @@
-"""What all computing rests on: double precision, compilation, padded shapes."""
+"""Numerical foundations: double precision, compilation, padded shapes, files."""

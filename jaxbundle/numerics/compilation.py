@@ -1,4 +1,4 @@
-"""Compilation: small blocks want a program quickly, large ones a quick program, and nobody wants to wait twice."""
+"""Ahead-of-time compilation with a persistent cache; small blocks use less optimisation for fast compilation."""
 
 from collections.abc import Callable, Hashable
 from typing import Any, ClassVar
@@ -13,15 +13,15 @@ from jaxbundle.numerics import programs
 from jaxbundle.numerics.devices import meet
 from jaxbundle.numerics.host import is_concrete
 
-RAYS_FOR_OPTIMISATION = 10_000  # below, an adjustment takes less time than optimising its program
+RAYS_FOR_OPTIMISATION = 10_000  # below this, an adjustment takes less time than optimising its program
 QUICKLY = {"xla_backend_optimization_level": 0, "xla_cpu_use_fusion_emitters": False}
 
 
 class Compiled:
-    """A function compiled for the arrays of its arguments; everything else in them is static and must be hashable.
+    """A function compiled for the arrays of its arguments; all other arguments are static and must be hashable.
 
-    With `optimised` False the program is compiled in about half the time. Programs are kept and found again by the next
-    process where a folder for them is given (`programs.keep_in`).
+    With `optimised` False the program is compiled in about half the time. Programs are cached on disk for later
+    processes if a folder is set (`programs.keep_in`).
     """
 
     _all: ClassVar["WeakSet[Compiled]"] = WeakSet()
@@ -34,13 +34,13 @@ class Compiled:
 
     @classmethod
     def forget(cls) -> None:
-        """Frees all programs of this process, which hold memory maps, of which a system allows so many only."""
+        """Frees all programs of this process; each uses memory maps, whose number is limited by the system."""
         for compiled in cls._all:
             compiled._programs.clear()
             compiled._traced.clear()
 
     def __call__(self, *args: Any, optimised: bool) -> Any:
-        """The function's value."""
+        """Calls the compiled function."""
         leaves, structure = jax.tree.flatten(args)
         arrays = [leaf for leaf in leaves if eqx.is_array(leaf)]
         static = tuple(None if eqx.is_array(leaf) else leaf for leaf in leaves)
@@ -55,7 +55,7 @@ class Compiled:
         return self._programs[key](arrays)
 
     def _inside(self, structure: Any, static: tuple) -> Callable[..., Any]:
-        """The function for arguments that are traced; a program inside of another one has no options of its own."""
+        """The function for traced arguments; a program inside another one has no separate options."""
         key = structure, static
         if key not in self._traced:
 
@@ -68,7 +68,7 @@ class Compiled:
         return self._traced[key]
 
     def _program(self, structure: Any, static: tuple, arrays: list[Array], options: dict) -> programs.Program:
-        """Found in the folder of programs, or made."""
+        """The program from the cache folder, or a new one."""
         folder, file = programs.folder(), None
         if folder is not None:
             described = jax.tree.unflatten(structure, range(len(static)))
@@ -87,7 +87,7 @@ class Compiled:
             return out
 
         if file:
-            # what comes out of JAX's own cache cannot be written again: under a new name it is not found there
+            # a program from JAX's cache cannot be written again; a new name avoids that cache
             on_leaves.__name__ = f"{self.function.__name__}_{uuid4().hex}"
         compiled = jax.jit(on_leaves, compiler_options=options).lower(*arrays).compile()
         if file:

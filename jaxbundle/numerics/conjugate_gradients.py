@@ -21,8 +21,8 @@ def conjugate_gradients(
 ) -> tuple[T, Array]:
     """Solution of A x = right, started at 0, for vectors that are pytrees with a scalar product `dot`.
 
-    Ends where the residual has fallen to `tolerance` of the first one, in the norm of the preconditioner; the second
-    value is the share that is left, NaN where A is not positive definite.
+    Ends when the residual is at most `tolerance` times the first one, in the norm of the preconditioner. The second
+    value is the remaining ratio, NaN if A is not positive definite.
     """
 
     def plus(x: T, factor: Array, y: T) -> T:
@@ -55,11 +55,10 @@ def softest_direction(
     tolerance: float,
     most_iterations: int,
 ) -> T:
-    """A direction x with a small x^T A x / x^T M x, M being what the preconditioner inverts.
+    """A direction x with a small quotient x^T A x / x^T M x, where M^-1 is the preconditioner.
 
-    It is A^-1 b, one step of inverse iteration from `right`, or the first search direction whose quotient falls to
-    `limit` or below, where A is singular. Ends as `conjugate_gradients` does. Not finite where the preconditioner is
-    not.
+    It is A^-1 b, one step of inverse iteration from `right`, or, for singular A, the first search direction with a
+    quotient of at most `limit`. Ends like `conjugate_gradients`. Not finite if the preconditioner is not finite.
     """
 
     def plus(x: T, factor: Array, y: T) -> T:

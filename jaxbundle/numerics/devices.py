@@ -1,6 +1,6 @@
-"""The devices that share the work: those of this process, or of all processes of a cluster (`jax.distributed`).
+"""Distribution over devices of this process, or of all processes of a cluster (`jax.distributed`).
 
-Processes run the same calls on the same block. Each knows the whole plan, puts its own parts on its own devices, and
+Processes run the same calls on the same block. Each process has the whole plan, puts its parts on its devices, and
 gets the whole result (`host.on_host`).
 """
 
@@ -24,43 +24,46 @@ def device_mesh(devices: int) -> Mesh:
 
 
 def put(value: Any, sharding: Sharding) -> Array:
-    """A number, an array or a tracer where `sharding` says; a process touches its own part only."""
+    """Puts a number, an array or a tracer on the devices of `sharding`; a process handles only its part."""
     elsewhere = isinstance(value, jax.Array) and not isinstance(value, Tracer) and not value.is_fully_addressable
     if sharding.is_fully_addressable or elsewhere or isinstance(value, Tracer):
         return jax.device_put(value, sharding)
-    # not by device_put: it compares the whole array over all processes
+    # not by device_put, which compares the whole array over all processes
     host = np.asarray(value)
     return jax.make_array_from_callback(host.shape, sharding, lambda index: host[index])
 
 
 def dealt(value: Any, devices: int, axis: int = 0) -> Array:
-    """An array parted along an axis over the devices; a tracer stays what it is."""
+    """Distributes an array along an axis over the devices; a tracer is unchanged."""
     if devices == 1 or isinstance(value, Tracer):
         return on_device(value)
     return put(value, NamedSharding(device_mesh(devices), PartitionSpec(*[None] * axis, AXIS)))
 
 
 def meet() -> None:
-    """Waits for all processes. Devices that exchange anything for the first time must do so within 30 s of each other
-    (gloo), which processes that read and compile at their own pace would miss."""
+    """Waits for all processes.
+
+    The first communication between devices must start within 30 s in all processes (gloo); reading and compiling can
+    take longer.
+    """
     if jax.process_count() > 1:
         multihost_utils.sync_global_devices("jaxbundle")
 
 
 def is_first_process() -> bool:
-    """Whether this is the process that writes and prints; one alone is."""
+    """Whether this process writes and prints; true for a single process."""
     return jax.process_index() == 0
 
 
 def from_first_process(tree: Any) -> Any:
-    """The arrays of the first process in all processes; `tree` gives their form."""
+    """Sends the arrays of the first process to all processes; `tree` has their shapes."""
     if jax.process_count() == 1:
         return tree
     return jax.tree.map(lambda x: on_device(on_host(x)), multihost_utils.broadcast_one_to_all(tree))
 
 
 def equal_in_all_processes(mark: bytes) -> bool:
-    """Whether all processes give the same bytes, of which there must be equally many."""
+    """Whether all processes have the same bytes, whose number must be equal."""
     if jax.process_count() == 1:
         return True
     marks = multihost_utils.process_allgather(np.frombuffer(mark, np.uint8))

@@ -1,11 +1,11 @@
-"""Double precision: an adjustment in single precision loses its last four digits to rounding."""
+"""Checking for double precision: in single precision, rounding destroys the last four digits of an adjustment."""
 
 import jax
 import jax.numpy as jnp
 
 
 def require_float64() -> None:
-    """Raises a ValueError that names the cure unless JAX computes in double precision."""
+    """Raises a ValueError with the cure unless JAX computes in double precision."""
     if jax.dtypes.canonicalize_dtype(float) != jnp.float64:
         raise ValueError(
             "jaxbundle computes in double precision, and JAX is set to single; switch it on before the first array is "

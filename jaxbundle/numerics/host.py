@@ -1,6 +1,6 @@
-"""Values on the host: what is known before tracing is prepared by numpy, which compiles nothing.
+"""Values on the host: values known before tracing are prepared by numpy, without compilation.
 
-JAX makes a program for every shape of its operations, even to take over an array: `on_device` does so without one.
+JAX compiles a program for each shape of its operations, even to convert an array; `on_device` avoids that.
 """
 
 import dataclasses
@@ -15,7 +15,7 @@ from jaxtyping import Array
 
 
 def is_concrete(tree: Any) -> bool:
-    """Whether all leaves are numbers, not tracers of a jit, grad or vmap."""
+    """Whether all leaves are numbers, not tracers of jit, grad or vmap."""
     return not any(isinstance(leaf, Tracer) for leaf in jax.tree.leaves(tree))
 
 
@@ -25,9 +25,9 @@ def constant(tree: Any) -> Any:
 
 
 def on_host(value: Any) -> Any:
-    """A numpy array in place of a concrete JAX array; a tracer stays what it is.
+    """Converts a concrete JAX array to numpy; a tracer is unchanged.
 
-    What lies on devices of several processes is gathered: there all of them must ask for it.
+    Arrays on devices of several processes are gathered: all processes must call this function.
     """
     if isinstance(value, Tracer):
         return value
@@ -37,22 +37,22 @@ def on_host(value: Any) -> Any:
 
 
 def on_device(value: Any, dtype: Any = None) -> Array:
-    """A JAX array of a number, a numpy array or a tracer."""
+    """Makes a JAX array of a number, a numpy array or a tracer."""
     if isinstance(value, jax.Array):
         return value if dtype is None else value.astype(dtype)
     return jax.device_put(np.asarray(value, dtype))
 
 
 def array_module(tree: Any) -> Any:
-    """numpy where all leaves are numbers, jax.numpy where they are traced."""
+    """Returns numpy if all leaves are numbers, jax.numpy if they are traced."""
     return np if is_concrete(tree) else jnp
 
 
 def freeze_arrays(holder: Any) -> None:
     """Makes the numpy arrays among the fields of a dataclass read-only, for use at its construction.
 
-    What is compiled and what is planned for the holder is found again by its identity, so its arrays must not change.
-    An array that its caller could still write to is replaced by a copy.
+    Compiled programs and plans are looked up by the identity of the dataclass, so its arrays must not change. An array
+    that the caller could still modify is replaced by a copy.
     """
     for field in dataclasses.fields(holder):
         value = getattr(holder, field.name)

@@ -1,10 +1,10 @@
-"""Names of a module that are loaded when they are first used, as the stub beside it lists them.
+"""Names of a module that are imported when they are first used, listed in its stub file.
 
     __getattr__, __dir__, __all__ = lazy_names(__name__, __file__)
 
 The stub, a file with the suffix .pyi, is the only list: type checkers and editors read it, and so does this function.
-Each name stands in it as `from MODULE import NAME as NAME`. A module inside of a package that has the name of a
-function of the package would hide the function once it is imported; a test forbids that.
+Each name has a line `from MODULE import NAME as NAME`. A module with the same name as a function of its
+package would hide the function after its import; a test forbids that.
 """
 
 import ast
@@ -15,7 +15,7 @@ from typing import Any
 
 
 def lazy_names(module: str, file: str) -> tuple[Callable[[str], Any], Callable[[], list[str]], list[str]]:
-    """`__getattr__`, `__dir__` and `__all__` of a module, from the stub beside its file."""
+    """`__getattr__`, `__dir__` and `__all__` of a module, from its stub file."""
     stub = ast.parse(Path(file).with_suffix(".pyi").read_text(encoding="utf-8")).body
     lines = [node for node in stub if isinstance(node, ast.ImportFrom)]
     homes = {alias.name: node.module or "" for node in lines for alias in node.names}
@@ -24,7 +24,7 @@ def lazy_names(module: str, file: str) -> tuple[Callable[[str], Any], Callable[[
     def get(name: str) -> Any:
         if name not in homes:
             raise AttributeError(f"module {module!r} has no attribute {name!r}")
-        if homes[name] == module:  # a module inside of this package
+        if homes[name] == module:  # a module inside this package
             return importlib.import_module(f"{module}.{name}")
         return getattr(importlib.import_module(homes[name]), name)
 

@@ -1,4 +1,4 @@
-"""Derivatives along a direction, and linear functions whose transposed function is written by hand."""
+"""Derivatives along a direction, and linear functions with an explicit transposed function."""
 
 from collections.abc import Callable
 from functools import partial
@@ -14,7 +14,7 @@ LinearFunction = Callable[[Float[Array, " m"]], Float[Array, " n"]]
 
 
 def directional(function: Callable, at: tuple, direction: tuple) -> tuple[Any, Any]:
-    """Value of a function and its derivative; what does not move has None in `direction`, and 0 in the result."""
+    """Value and directional derivative of a function; None in `direction` means a constant argument."""
     value, moved = eqx.filter_jvp(function, at, direction)
     return value, jax.tree.map(lambda x, m: jnp.zeros_like(x) if m is None else m, value, moved)
 
@@ -32,17 +32,17 @@ def _without_derivative_jvp(reason: str, primals: tuple, tangents: tuple) -> tup
 def linear_map(
     forward: LinearFunction, transposed: LinearFunction, x: Float[Array, " m"], size: int, given: Any, reason: str
 ) -> Float[Array, " size"]:
-    """L x = forward(x), as a linear function that JAX transposes by `transposed`, L^T, and may also batch.
+    """The linear function L x = forward(x), which JAX transposes by `transposed` (L^T) and can batch.
 
-    `given`: all numbers that L depends on. Derivatives with respect to them are not known.
+    `given`: all numbers that L depends on. Derivatives with respect to them are not available.
 
-    Raises: ValueError with the `reason` where JAX asks for such a derivative.
+    Raises: ValueError with the `reason` if JAX requests such a derivative.
     """
     numbers = jax.tree.leaves(eqx.filter(given, eqx.is_inexact_array))
     unknown = _without_derivative(sum((jnp.sum(leaf) for leaf in numbers), jnp.zeros(())), reason)
     split = len(x)
 
-    # the equations [ I  0; -L  I ] [ u; v ] = [ x; 0 ], for which JAX asks both solutions of its user
+    # the equations [ I  0; -L  I ] [ u; v ] = [ x; 0 ], for which JAX needs both solutions
     def solve(_: Any, b: Array) -> Array:
         return jnp.concatenate([b[:split], b[split:] + forward(b[:split])])
 
@@ -50,5 +50,5 @@ def linear_map(
         return jnp.concatenate([b[:split] + transposed(b[split:]), b[split:]])
 
     right = jnp.concatenate([x, jnp.zeros(size)])
-    # "symmetric" only keeps JAX from transposing the product, which nobody computes
+    # "symmetric" only prevents JAX from transposing the product, which is not used
     return lax.custom_linear_solve(lambda z: unknown * z, right, solve, transpose_solve, symmetric=True)[split:]

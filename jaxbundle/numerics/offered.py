@@ -1,8 +1,8 @@
-"""Methods whose work is done in a higher room: a type offers them by name, and they are loaded when they are called.
+"""Methods that are implemented in a higher layer: a type has their names, and they are imported when called.
 
-Imports go down only. A method such as `Block.from_tables` or `Adjustment.to_frames` is where a user looks for it, and
-reading tables or making reports lies above blocks and adjustments. This table is the one place that names what lies
-above; a test holds it against the modules.
+Imports go to lower layers only. Users expect methods such as `Block.from_tables` or `Adjustment.to_frames`, but reading
+tables and making reports are in higher layers than blocks and adjustments. This table is the only reference to higher
+layers; a test compares it with the modules.
 """
 
 import importlib
@@ -15,5 +15,5 @@ HOMES = {
 
 
 def offered(name: str) -> Any:
-    """The function of that name from its home."""
+    """Imports the function of a name from its module."""
     return getattr(importlib.import_module(HOMES[name]), name)

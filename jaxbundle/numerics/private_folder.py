@@ -1,4 +1,4 @@
-"""Folders that nobody else may write to: what is run from them, as compiled programs are, is the user's own."""
+"""Private folders: only the user can write to them, so it is safe to run compiled programs from them."""
 
 import os
 import stat
@@ -8,10 +8,10 @@ _OF_OTHERS = stat.S_IWGRP | stat.S_IWOTH
 
 
 def private_folder(path: Path) -> Path | None:
-    """The folder, made with all above it where it is missing; None where it is not the user's alone.
+    """The folder, which is created if missing; None if it is not private.
 
-    It must be a folder, no link, that belongs to the effective user, and neither group nor others may write to it.
-    Nothing is made in a folder of another user: root, who comes with the HOME of a user, would lock that user out.
+    It must be a folder, not a link, that belongs to the effective user, and neither group nor others may write to
+    it. No folder is created in a folder of another user: root with the HOME of a user would lock that user out.
     """
     missing = [folder for folder in (path, *path.parents) if not os.path.lexists(folder)]
     above = missing[-1].parent if missing else path
@@ -27,14 +27,14 @@ def private_folder(path: Path) -> Path | None:
 
 
 def is_private(status: os.stat_result) -> bool:
-    """Whether a file or folder belongs to the effective user, who alone may write to it."""
+    """Whether a file or folder belongs to the effective user, and nobody else may write to it."""
     if os.name != "posix":
-        return True  # the folders of a user's profile are private by their access lists
+        return True  # on Windows, access lists make the folders of a user's profile private
     return status.st_uid == os.geteuid() and not status.st_mode & _OF_OTHERS
 
 
 def read_private(path: Path) -> bytes | None:
-    """The content of a file that the user alone may write to; None where there is none."""
+    """The content of a file that only the user may write to; None if there is none."""
     try:
         descriptor = os.open(path, os.O_RDONLY | getattr(os, "O_NOFOLLOW", 0) | getattr(os, "O_BINARY", 0))
     except OSError:
@@ -45,7 +45,7 @@ def read_private(path: Path) -> bytes | None:
 
 
 def trim(folder: Path, limit: int) -> None:
-    """Deletes files below a folder until they fit `limit` bytes, those first that have not been used the longest."""
+    """Deletes the least recently used files below a folder until the rest fits `limit` bytes."""
     files = []
     for path in folder.rglob("*"):
         try:

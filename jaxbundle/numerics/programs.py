@@ -1,11 +1,11 @@
-"""Compiled programs kept in a folder: who finds his own there needs neither tracing nor compilation.
+"""Cache of compiled programs in a folder: a cached program needs neither tracing nor compilation.
 
-A program is known by everything it was made of: the function, the static parts of its arguments, shapes, types and
-placement of the arrays, the sources of this package, the versions of JAX and its kin, and the machine. A function or a
-class from elsewhere (a user's camera model) has sources that are not looked at: a program with such a part is not kept.
+The key of a program includes all its inputs: the function, the static parts of its arguments, shapes, types and
+placement of the arrays, the sources of this package, the versions of JAX and related packages, and the machine. The
+sources of other functions or classes (a user's camera model) are not checked: a program with such a part is not cached.
 
-A file is a line of JSON, which says what the program is made for, and the program itself. As a program runs, it is read
-from a file of the user only that nobody else may write to.
+A file consists of a line of JSON, which describes the program, and the program. As a program is executed, it is only
+read from a file of the user that nobody else may write to.
 """
 
 import hashlib
@@ -31,23 +31,23 @@ from jaxbundle.numerics.private_folder import private_folder, read_private
 from jaxbundle.numerics.whole_files import write_whole
 
 PACKAGE = Path(__file__).parent.parent
-LARGEST = 256_000_000  # bytes in memory; the largest program of a block of 1200 images takes a tenth
+LARGEST = 256_000_000  # bytes in memory; the largest program of a block of 1200 images needs a tenth
 VERSIONED = ("jax", "jaxlib", "equinox", "optimistix", "lineax", "numpy")
 
 
 class Program(NamedTuple):
-    """A compiled program from leaves to leaves, and a tree of numbers that says where the leaves of its value stand."""
+    """A compiled program from leaves to leaves, and a tree of indices for the leaves of its value."""
 
     call: Callable[..., list[Array]]
     value: Any
 
     def __call__(self, leaves: Sequence[Array]) -> Any:
-        """The function's value."""
+        """Runs the program and returns the value."""
         return jax.tree.unflatten(jax.tree.structure(self.value), self.call(*leaves))
 
 
 class _Pickler(pickle.Pickler):
-    """Writes functions and classes by name, those that belong to a versioned package or to Python only."""
+    """Pickles functions and classes by name, only those of a versioned package or of Python."""
 
     def reducer_override(self, obj: Any) -> Any:
         if isinstance(obj, (FunctionType, type)):
@@ -57,28 +57,33 @@ class _Pickler(pickle.Pickler):
         return NotImplemented
 
 
-_kept_in: list[Path] = []  # at most one
+_kept_in: list[Path] = []  # at most one entry
 
 
 def keep_in(path: Path) -> None:
-    """Keeps the programs of this process in a folder from now on, if it is the user's alone; else they are not kept."""
+    """Sets the cache folder for the programs of this process; without effect if the folder is not private."""
     private = private_folder(path)
     _kept_in[:] = [] if private is None else [private]
 
 
+def chosen_folder() -> Path | None:
+    """The folder that `keep_in` was given, None if there is none. Unlike `folder` it does not start JAX."""
+    return _kept_in[0] if _kept_in else None
+
+
 def folder() -> Path | None:
-    """Where programs are kept, None where they are not: a program of several processes is made for one of them."""
+    """The cache folder, None without cache: a program of several processes is valid for only one of them."""
     return _kept_in[0] if _kept_in and jax.process_count() == 1 else None
 
 
-def _setting(name: str) -> Any:
-    """An option of JAX, whose attributes no type checker knows."""
+def setting(name: str) -> Any:
+    """An option of JAX; type checkers do not know its attributes."""
     return getattr(jax.config, name)
 
 
 @cache
 def _origin() -> tuple[Any, ...]:
-    """What all programs of this process depend on."""
+    """Common inputs of all programs of this process."""
     sources = sorted((str(file), file.stat().st_mtime_ns, file.stat().st_size) for file in PACKAGE.rglob("*.py"))
     versions = [(name, version(name)) for name in VERSIONED]
     machine = platform.node(), platform.machine(), sys.version, os.environ.get("XLA_FLAGS")
@@ -90,22 +95,25 @@ def _placement(array: Array) -> tuple[Any, ...]:
 
 
 def program_name(function: FunctionType, static: Any, arrays: Any, options: Any) -> str | None:
-    """The name under which a program is kept; None if it cannot be."""
-    settings = [_setting(name) for name in ("jax_enable_x64", "jax_debug_nans", "jax_disable_jit")]
-    name = function.__module__, function.__qualname__  # not itself: a decorated function is not found by its name
+    """The file name of a program; None if it cannot be cached."""
+    settings = [setting(name) for name in ("jax_enable_x64", "jax_debug_nans", "jax_disable_jit")]
+    name = (
+        function.__module__,
+        function.__qualname__,
+    )  # not the object itself: a decorated function cannot be imported by its name
     if name[0].partition(".")[0] != PACKAGE.name or "<" in name[1]:
         return None
     parts = _origin(), settings, name, static, jax.tree.map(_placement, arrays), options
     file = io.BytesIO()
     try:
         _Pickler(file).dump(parts)
-    except (pickle.PicklingError, AttributeError, TypeError):  # a local function, or what has no form on disk
+    except (pickle.PicklingError, AttributeError, TypeError):  # a local function, or an object that cannot be pickled
         return None
     return hashlib.sha256(file.getvalue()).hexdigest()
 
 
 def load(file: Path, arrays: Sequence[Array]) -> Program | None:
-    """A program that was kept for such arrays; None where there is none, or none that this machine can read."""
+    """Reads a cached program for such arrays; None if there is none that this machine can read."""
     data = read_private(file)
     if data is None:
         return None
@@ -121,17 +129,17 @@ def load(file: Path, arrays: Sequence[Array]) -> Program | None:
         call = serialize_executable.deserialize_and_load(
             executable, in_tree, out_tree, execution_devices=jax.devices()[: header["devices"]]
         )
-        os.utime(file)  # used now: the last to be deleted
-    except Exception:  # whatever is wrong with the file, the program can be made again
+        os.utime(file)  # mark it as used, so that it is deleted last
+    except Exception:  # for any error of the file, the program is compiled again
         return None
     return Program(call, value)
 
 
 def keep(file: Path, compiled: jax.stages.Compiled, arrays: Sequence[Array], value: Any) -> None:
-    """Keeps a program for such arrays, if it can be; a reader sees a whole file or none."""
+    """Writes a program for such arrays to the cache, if possible; a reader sees a whole file or none."""
     if "lapack" in (compiled.as_text() or ""):
-        return  # JAX prepares LAPACK when it lowers a call: in a process that only loads the program it would crash
-    shardings = jax.tree.leaves(compiled.input_shardings)  # None for a leaf that is not used
+        return  # JAX initialises LAPACK when it lowers a call: a process that only loads the program would crash
+    shardings = jax.tree.leaves(compiled.input_shardings)  # None for an unused leaf
     devices = max((len(sharding.device_set) for sharding in shardings), default=1)
     try:
         executable, _, _ = serialize_executable.serialize(compiled)
@@ -141,11 +149,11 @@ def keep(file: Path, compiled: jax.stages.Compiled, arrays: Sequence[Array], val
         if len(whole) <= LARGEST and private_folder(file.parent) is not None:
             write_whole(file, lambda stream: stream.write(head + b"\n" + body), mode=0o600)
     except (OSError, ValueError, NotImplementedError, pickle.PicklingError, AttributeError, TypeError):
-        return  # a full disk or a program that has no form on disk: the next process compiles again
+        return  # a full disk, or a program that cannot be serialised: the next process compiles again
 
 
 def _header(file: Path, arrays: Sequence[Array], devices: int, size: int) -> dict[str, Any]:
-    """What a program is made for; `size`: its bytes before compression."""
+    """Description of a program; `size`: its bytes before compression."""
     described = [[list(array.shape), str(array.dtype)] for array in arrays]
     return {"name": file.name, "arrays": described, "devices": devices, "size": size}
 
@@ -155,7 +163,7 @@ def _digest(header: dict[str, Any], body: bytes) -> str:
 
 
 def _decompressed(body: bytes, size: int) -> bytes:
-    """The program's bytes, of which there must be as many as its header says.
+    """The bytes of the program, whose number must agree with its header.
 
     Raises: ValueError otherwise.
     """
@@ -164,5 +172,5 @@ def _decompressed(body: bytes, size: int) -> bytes:
     stream = zlib.decompressobj()
     whole = stream.decompress(body, size)
     if len(whole) != size or not stream.eof and stream.decompress(stream.unconsumed_tail, 1):
-        raise ValueError("not of its size")
+        raise ValueError("size differs from header")
     return whole

@@ -1,4 +1,4 @@
-"""Values kept in memory between two parts of a program."""
+"""Values stored in memory between two parts of a program."""
 
 from typing import TypeVar
 
@@ -12,10 +12,10 @@ T = TypeVar("T")
 
 @jax.custom_jvp
 def stored(values: T, zero: Int[Array, ""]) -> T:
-    """The same values, each computed once, and so are their derivatives.
+    """The same values, each computed only once, also for their derivatives.
 
-    What several expressions have in common XLA computes in each of them again (on CPUs; `optimization_barrier` does not
-    keep it from that). It stops at a loop: this one makes no turn, `zero` is a 0 that only the running program knows.
+    XLA recomputes common parts of several expressions in each of them (on CPUs; `optimization_barrier` does not prevent
+    that). A loop prevents it: this one has no iterations, as `zero` is a 0 that is known only at run time.
     """
     return lax.fori_loop(0, zero, lambda _, v: jax.tree.map(jnp.negative, v), values)
 
@@ -25,8 +25,8 @@ def _stored_jvp(primals: tuple, tangents: tuple) -> tuple:
     zero = primals[1]
 
     def linear(moved: Array) -> Array:
-        # the equations I x = b: what JAX transposes without looking into their solution; one by one, since some of
-        # the values may have no derivative
+        # the equations I x = b: JAX transposes them without tracing their solution; one by one, since some of the
+        # # values may have no derivative
         solve = lambda _, b: lax.fori_loop(0, zero, lambda _, v: -v, b)  # noqa: E731
         return lax.custom_linear_solve(lambda x: x, moved, solve, symmetric=True)
 

@@ -1,4 +1,4 @@
-"""A user's function is tried with abstract numbers before anything is solved: nothing is computed or compiled."""
+"""Trying a user's function with abstract numbers before a solve, without computation or compilation."""
 
 from collections.abc import Callable
 from typing import Any
@@ -6,13 +6,13 @@ from typing import Any
 import jax
 import jax.numpy as jnp
 
-LONGEST = 160  # characters of an error's own words
+LONGEST = 160  # maximum number of characters of an exception's message
 
 
 def defect(function: Callable[..., Any], arguments: tuple, count: int) -> str:
-    """What is wrong with a function of scalars that must return `count` scalars and be differentiable; "" if nothing.
+    """The problem of a function of scalars that must return `count` scalars and be differentiable; "" if none.
 
-    `arguments`: trees of numbers, of which the values do not matter.
+    `arguments`: trees of numbers with arbitrary values.
     """
     abstract = jax.tree.map(lambda _: jax.ShapeDtypeStruct((), jnp.result_type(float)), arguments)
 
@@ -28,19 +28,19 @@ def defect(function: Callable[..., Any], arguments: tuple, count: int) -> str:
         jax.eval_shape(tried, *abstract)
         if not wrong[0]:
             jax.eval_shape(forward, *abstract)
-    except Exception as error:  # it is anybody's code: whatever it raises is what is wrong with it
+    except Exception as error:  # code of the user: any exception is its error
         return f"fails with {type(error).__name__}: {first_line(error)}"
     return wrong[0]
 
 
 def first_line(error: BaseException) -> str:
-    """The beginning of an error's words."""
+    """The first line of an exception's message, shortened."""
     words = (str(error).strip() or type(error).__name__).splitlines()[0]
     return words if len(words) <= LONGEST else f"{words[: LONGEST - 3]}..."
 
 
 def _returned_defect(returned: Any, count: int) -> str:
-    """What is wrong with what a function returned."""
+    """The problem of the returned value of a function."""
     if not isinstance(returned, tuple | list):
         what = f"an array of shape {returned.shape}" if hasattr(returned, "shape") else type(returned).__name__
         return f"returns {what}, not {count} residuals in a tuple"

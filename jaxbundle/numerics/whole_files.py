@@ -1,7 +1,7 @@
-"""Files that are written beside their place and moved there when they are whole.
+"""Files that are written under a temporary name and renamed when they are complete.
 
-What is being written bears the mark of its process in its name, `.jaxbundle-MACHINE-PID-START-RANDOM`. So the remnant
-of a process that was killed is told from what another process is writing at this moment.
+Temporary names contain their process: `.jaxbundle-MACHINE-PID-START-RANDOM`. So remnants of a killed process can be
+distinguished from files that another process is writing.
 """
 
 import hashlib
@@ -18,16 +18,16 @@ from typing import BinaryIO
 PREFIX = ".jaxbundle-"
 _MARKED = re.compile(re.escape(PREFIX) + r"([0-9a-f]{8})-(\d+)-(\d+)-[0-9a-f]{8}")
 _PROCESSES = Path("/proc")
-FORGOTTEN = 86_400.0  # seconds: a process on another machine cannot be looked up; no report takes a day to write
+FORGOTTEN = 86_400.0  # seconds: processes on other machines cannot be looked up, but no report takes a day to write
 
 
 def marked_name() -> str:
-    """A new hidden name that tells which process it belongs to."""
+    """A new hidden name that contains its process."""
     return f"{PREFIX}{_machine()}-{os.getpid()}-{_start(os.getpid()) or 0}-{secrets.token_hex(4)}"
 
 
 def remnants(folder: Path) -> list[Path]:
-    """Files and folders of this user that a process which is no more has left in a folder."""
+    """Files and folders of this user that an ended process left in a folder."""
     try:
         names = os.listdir(folder)
     except OSError:
@@ -44,16 +44,16 @@ def belongs_to_user(path: Path) -> bool:
 
 
 def write_whole(path: Path, write: Callable[[BinaryIO], object], mode: int = 0o666) -> None:
-    """Writes a file beside its place, brings it to the disk and moves it to its place; removes it if that fails.
+    """Writes a file under a temporary name, flushes it to the disk and renames it; removes it after a failure.
 
-    `mode`: its permissions, less what the user's mask forbids. Raises: OSError where the place cannot be written.
+    `mode`: its permissions, reduced by the user's mask. Raises: OSError if the folder cannot be written.
     """
     for remnant in remnants(path.parent):
         if not remnant.is_dir():
             remnant.unlink(missing_ok=True)
     beside = path.parent / marked_name()
     try:
-        # a new file: no link that another user has put there is followed
+        # a new file, so that links of other users are not followed
         with open(beside, "xb", opener=lambda name, flags: os.open(name, flags, mode)) as file:
             write(file)
             file.flush()
@@ -65,7 +65,7 @@ def write_whole(path: Path, write: Callable[[BinaryIO], object], mode: int = 0o6
 
 
 def sync_file(path: Path) -> None:
-    """Brings a file to the disk."""
+    """Flushes a file to the disk."""
     descriptor = os.open(path, os.O_RDWR)
     try:
         os.fsync(descriptor)
@@ -74,22 +74,22 @@ def sync_file(path: Path) -> None:
 
 
 def sync_folder(path: Path) -> None:
-    """Brings the names in a folder to the disk, where the file system knows how."""
+    """Flushes the names in a folder to the disk, if the file system supports it."""
     try:
         descriptor = os.open(path, os.O_RDONLY)
     except OSError:
-        return  # Windows opens no folders
+        return  # Windows cannot open folders
     try:
         os.fsync(descriptor)
     except OSError:
-        pass  # some network file systems sync no folders
+        pass  # some network file systems cannot flush folders
     finally:
         os.close(descriptor)
 
 
 @cache
 def _machine() -> str:
-    """Mark of the machine or container, in which a process number means one process."""
+    """Identifier of the machine or container in which a process number is unique."""
     try:
         processes = os.readlink("/proc/self/ns/pid")
     except OSError:
@@ -98,10 +98,10 @@ def _machine() -> str:
 
 
 def _start(process: int) -> int | None:
-    """When a process started, in clock ticks since the machine did; None where there is no such process."""
+    """When a process started, in clock ticks since the start of the machine; None if there is no such process."""
     try:
         line = (_PROCESSES / str(process) / "stat").read_text(encoding="utf-8", errors="replace")
-        return int(line.rpartition(")")[2].split()[19])  # field 22; the name of the program may hold blanks
+        return int(line.rpartition(")")[2].split()[19])  # field 22; the name of the program may contain blanks
     except (OSError, IndexError, ValueError):
         return None
 

@@ -3,10 +3,10 @@
 one photograph      three_points, three_point_resections, resections, direct_linear_transformations, planar_resections
 two photographs     five_points, two_images, pair_search, coplanarity, relative_orientations
 one model           absolute_orientations
-a whole block       from_nothing chooses the way: oriented (resection of many images), or global_start:
+a whole block       from_nothing chooses the method: oriented (resection of many images), or global_start:
                     common_rays -> block_pairs (minimal_samples, pair_kernel) -> rotation_average -> ray_votes
                     -> linear_positions -> robust_intersection -> anchors, to_object
-values given        checked_start: absurd ones are replaced
+given values        checked_start: absurd values are replaced
 """
 
 from jaxbundle.numerics.lazy_names import lazy_names

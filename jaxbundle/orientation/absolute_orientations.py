@@ -1,7 +1,7 @@
-"""Absolute orientation: the similarity that takes a model into the object system by full, plan and height control.
+"""Absolute orientation: the similarity from a model to the object system by full, plan and height control.
 
-Seven unknowns want at least 2 plan positions and 3 heights. Then there can be several orientations: 2 full points and
-one height always leave two. All are given; the projection centres decide which one is chosen.
+Seven unknowns require at least 2 plan positions and 3 heights. With minimal control several orientations can exist: 2
+full points and one height always have two. All are returned; the projection centres decide which one is chosen.
 """
 
 import equinox as eqx
@@ -12,41 +12,42 @@ from jaxtyping import Array, ArrayLike, Bool, Float
 
 from jaxbundle.geometry.rotation import OMEGA_PHI_KAPPA, RotationSystem
 from jaxbundle.geometry.similarity import Similarity, similarity
-from jaxbundle.numerics.float64 import require_float64
 from jaxbundle.numerics.host import is_concrete
+from jaxbundle.numerics.program_cache import prepare_jax
 from jaxbundle.orientation.fitted_similarity import Control, Fit, all_fits, changed, residuals
 
 MAX_SOLUTIONS = 4
-DISTINCT = 1e-4  # differences of rotation matrices and logarithms of scales: below, two minima are one
-UNDETERMINED = 1e-10  # smallest over largest eigenvalue of the normal equations with a unit diagonal
-ON_A_LINE = 1e-3  # extent across over extent along
-ALIKE = 9.0  # of sigma0^2: an orientation whose sum of squares is larger by less is possible (3 sigma)
-MIRRORED_PART = 1e-3  # third over first singular value: below, the points are in a plane, which has no mirror image
+DISTINCT = 1e-4  # differences of rotation matrices and logarithms of scales: below this two minima are equal
+UNDETERMINED = 1e-10  # ratio of minimum and maximum eigenvalue of the normal equations with a unit diagonal
+ON_A_LINE = 1e-3  # ratio of the extents across and along a line
+ALIKE = 9.0  # in units of sigma0^2: orientations with a smaller increase of the sum of squares are possible (3 sigma)
+# ratio of third and first singular value: below this the points are in a plane, which has no mirror image
+MIRRORED_PART = 1e-3
 
 
 class AbsoluteOrientation(eqx.Module):
     """Result of `absolute_orientation`. Angles in radians, lengths in the unit of the object system."""
 
     similarity: Similarity
-    """The orientation that was chosen."""
+    """The chosen orientation."""
     angles: Float[Array, "*model 3"]
-    """Of its rotation object_from_model."""
+    """Angles of its rotation object_from_model."""
     cofactors: Float[Array, "*model 7 7"]
-    """Of scale, three angles and three translations; NaN where the control does not determine them."""
+    """Cofactors of scale, three angles and three translations; NaN if the control does not determine them."""
     residuals: Float[Array, "*model point 3"]
-    """Transformed - given; 0 for coordinates that are not given."""
+    """Residuals transformed - given; 0 for coordinates that are not given."""
     sigma0: Float[Array, "*model"]
-    """A posteriori; NaN without redundancy."""
+    """A-posteriori standard deviation of unit weight; NaN without redundancy."""
     redundancy: Array
-    """Observed coordinates less 7."""
+    """Number of observed coordinates minus 7."""
     solutions: Similarity
-    """Up to four orientations with minimal sums of squares, the smallest sum first; NaN where there are no more."""
+    """Up to four orientations with minimal sums of squares, in increasing order; NaN if there are fewer."""
     costs: Float[Array, "*model 4"]
     """Weighted sums of squares of `solutions`."""
     possible: Bool[Array, "*model 4"]
-    """Solutions that the control cannot tell from the best one."""
+    """Mask of the solutions that the control cannot distinguish from the best one."""
     chosen: Array
-    """Position of `similarity` in `solutions`."""
+    """Index of `similarity` in `solutions`."""
     determined: Bool[Array, "*model"]
     """Whether the control determines all seven unknowns."""
     on_a_line: Bool[Array, "*model"]
@@ -56,22 +57,22 @@ class AbsoluteOrientation(eqx.Module):
 
     @property
     def standard_deviations(self) -> Float[Array, "*model 7"]:
-        """A posteriori, of scale, three angles and three translations."""
+        """A-posteriori standard deviations of scale, three angles and three translations."""
         return self.sigma0[..., None] * jnp.sqrt(jnp.diagonal(self.cofactors, axis1=-2, axis2=-1))
 
     @property
     def words(self) -> str:
-        """What is wrong with the orientation of one model (concrete results only), and the cure; else empty."""
+        """Problem and cure of the orientation of one model (concrete results only); empty if there is none."""
         if self.mirrored:
-            return "the control is a mirror image of the model; look for exchanged or negated coordinates"
+            return "the control is a mirror image of the model; check for exchanged or negated coordinates"
         if self.on_a_line:
             return "the control lies on a line, the rotation about it is not determined; add control off the line"
         if not self.determined:
-            return "the control does not determine the orientation; add plan positions and heights in other places"
+            return "the control does not determine the orientation; add plan positions and heights at other positions"
         number = int(self.possible.sum())
         if number > 1:
             return (
-                f"{number} orientations satisfy the control; solution {int(self.chosen) + 1} is chosen; add control, or"
+                f"{number} orientations fit the control; solution {int(self.chosen) + 1} is chosen; add control, or"
                 " give the projection centres, which lie above the points of an aerial model"
             )
         return ""
@@ -93,11 +94,11 @@ def absolute_orientation(
         object_points: X, Y, Z of the control; NaN where a coordinate is not given (plan or height control).
         sigmas: standard deviations of the object coordinates, one number or one per coordinate.
         model_sigmas: standard deviations of the model coordinates, likewise, or covariances (point, 3, 3).
-        projection_centres: in the model; of several possible orientations that is chosen which has them above the
-            points. Without them the one with the smallest sum of squares is chosen.
-        system: of the angles.
+        projection_centres: in the model; from several possible orientations the one with the centres above the
+            points is chosen. Without them the one with the minimum sum of squares is chosen.
+        system: rotation system of the angles.
 
-    Returns: the orientation, its precision and all its alternatives. jit and vmap go through it.
+    Returns: the orientation, its precision and all alternatives. It works with jit and vmap.
 
     Raises: ValueError for too little control, for a sigma that is not positive, or without float64.
 
@@ -108,7 +109,7 @@ def absolute_orientation(
         >>> float(found.similarity.scale)
         2.0
     """
-    require_float64()
+    prepare_jax()
     if (
         np.ndim(model_points) != 2
         or np.shape(model_points) != np.shape(object_points)
@@ -163,7 +164,7 @@ def _orientation(
     weighted = jnp.where(c.observed, c.object_points, 0.0) / jnp.sqrt(
         jnp.diagonal(c.object_covariance + c.model_covariance, axis1=1, axis2=2)
     )
-    rounding = 1e-12 * jnp.sum(weighted**2)  # a millionth of the extent
+    rounding = 1e-12 * jnp.sum(weighted**2)  # a millionth of the extent of the points
     possible = distinct & (cost <= cost[0] + ALIKE * variance + rounding)
     chosen = _chosen(fits.similarity, possible, c.model, centred.model(centres))
     fit = jax.tree.map(lambda value: value[chosen], fits)
@@ -190,7 +191,7 @@ def _orientation(
 
 
 class _Centred(eqx.Module):
-    """Origins and sizes of both systems while they are adjusted."""
+    """Origins and scales of both systems during the adjustment."""
 
     model_origin: Float[Array, "3"]
     model_size: Float[Array, ""]
@@ -198,11 +199,11 @@ class _Centred(eqx.Module):
     object_size: Float[Array, ""]
 
     def model(self, points: Float[Array, "point 3"]) -> Float[Array, "point 3"]:
-        """Centred model coordinates."""
+        """Model coordinates relative to their centre."""
         return (points - self.model_origin) / self.model_size
 
     def back(self, at: Similarity) -> Similarity:
-        """The similarity between the systems as given."""
+        """The similarity between the original systems."""
         scale = at.scale * self.object_size / self.model_size
         shift = self.object_origin + self.object_size * at.translation - scale * at.rotation @ self.model_origin
         return Similarity(scale, at.rotation, shift)
@@ -220,7 +221,7 @@ def _normalised(x: Array, o: Array, s: Array, covariance: Array) -> tuple[Contro
 
 
 def _distinct(fits: Fit) -> tuple[Fit, Float[Array, "4"], Bool[Array, "4"]]:
-    """The best minima that differ, the smallest sum of squares first."""
+    """The best different minima, in increasing order of the sum of squares."""
     cost = jnp.where(fits.converged & jnp.isfinite(fits.cost), fits.cost, jnp.inf)
     order = jnp.argsort(cost)
     fits, cost = jax.tree.map(lambda value: value[order], (fits, cost))
@@ -237,13 +238,13 @@ def _distinct(fits: Fit) -> tuple[Fit, Float[Array, "4"], Bool[Array, "4"]]:
 
 
 def _chosen(at: Similarity, possible: Bool[Array, "4"], points: Array, centres: Array) -> Array:
-    """The first possible solution with the centres above the points, else the first one."""
+    """The first possible solution with the centres above the points, otherwise the first one."""
     above = jnp.mean(at(centres)[..., 2], 1) > jnp.mean(at(points)[..., 2], 1)  # False without centres
     return jnp.argmin(jnp.where(possible & above, 0, jnp.where(possible, 1, 2)))
 
 
 def _precision(fit: Fit, system: RotationSystem, centred: _Centred) -> tuple[Array, Array, Similarity, Array]:
-    """Whether all is determined; cofactors of the seven elements as they are given; these elements."""
+    """Whether all elements are determined; cofactors of the seven elements; these elements."""
     scale = 1 / jnp.sqrt(jnp.diagonal(fit.normals))
     values, vectors = jnp.linalg.eigh(fit.normals * scale[:, None] * scale)
     determined = values[0] > UNDETERMINED * values[-1]

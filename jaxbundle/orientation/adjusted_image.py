@@ -1,6 +1,6 @@
-"""The adjusted image with its cofactors and residuals: one, or under vmap many, and its derivatives.
+"""Adjustment of one image with cofactors and residuals, or of many under vmap, with derivatives.
 
-Under vmap the images become the last axis of all arrays, the long one. Derivatives are those of the minimum: with the
+Under vmap the images are the last, long axis of all arrays. Derivatives are those of the minimum: with the
 gradient g(x, data) = 0 and its derivative H, dx = -H^-1 (dg / d data) d data.
 """
 
@@ -33,14 +33,14 @@ from jaxbundle.orientation.one_image import (
 from jaxbundle.orientation.six_unknowns import UNKNOWNS, backward, cholesky, forward, place
 from jaxbundle.orientation.three_points import direct_orientation
 
-IMAGES_AT_ONCE = 512  # measured: 1024 take as long, more leave the processor's cache
-LINE = 8  # numbers in a line of the cache
+IMAGES_AT_ONCE = 512  # measured: 1024 need the same time, more exceed the processor's cache
+LINE = 8  # numbers per cache line
 UNITS = np.eye(UNKNOWNS)
 Symmetric = tuple[tuple[Scalar, ...], ...]
 
 
 class AdjustedImage(NamedTuple):
-    """The orientation, cofactors of its centre and angles, residuals of the points, how the iterations ended."""
+    """The orientation, cofactors of its centre and angles, residuals of the points, status of the iterations."""
 
     at: Orientation
     angles: Angles
@@ -51,7 +51,7 @@ class AdjustedImage(NamedTuple):
 
 
 class Start(NamedTuple):
-    """A given orientation."""
+    """The given approximate orientation of an image."""
 
     centre: Vector
     angles: Angles
@@ -61,7 +61,7 @@ class Start(NamedTuple):
 def adjusted_image(
     model: CameraModel, system: RotationSystem, most: int, m: Measured, start: Start | None
 ) -> AdjustedImage:
-    """Adjusts an image from a start, or from the direct solution."""
+    """Adjusts an image from a given start, or from the direct solution."""
 
     @custom_vmap
     def one(m: Measured, start: Start | None) -> AdjustedImage:
@@ -86,10 +86,11 @@ def adjusted_image(
 
 
 def _in_parts(of_images: Callable[..., AdjustedImage], size: int, data: tuple[Measured, Start | None]) -> AdjustedImage:
-    """So many images at once that their arrays stay in the processor's cache; images last in `data`, first in the
-    result."""
+    """Adjusts images in groups that fit into the processor's cache; images are last in `data`, first in the result."""
     parts = -(-size // IMAGES_AT_ONCE)
-    length = LINE * (-(-size // (parts * LINE)) | 1)  # rows a power of two apart would evict each other from the cache
+    length = LINE * (
+        -(-size // (parts * LINE)) | 1
+    )  # rows at distances of a power of two would evict each other from the cache
 
     def parted(x: Array) -> Array:
         padded = jnp.pad(x, [(0, 0)] * (x.ndim - 1) + [(0, parts * length - size)], mode="edge")
@@ -106,7 +107,7 @@ def _points_behind(x: Float[Array, "part point image"], size: int) -> Float[Arra
 def _answer(
     model: CameraModel, system: RotationSystem, at: Orientation, e: Equations, m: Measured, start: Start | None
 ) -> tuple[Angles, Symmetric, ImagePoint]:
-    """Angles, cofactors of centre and angles, residuals."""
+    """Computes angles, cofactors of centre and angles, and residuals."""
     zero = jnp.zeros_like(at.centre[0])
 
     def angles(*d: Scalar) -> Angles:
@@ -129,7 +130,7 @@ def _answer(
 
 @adjusted_image.defjvp
 def _derivative(model: CameraModel, system: RotationSystem, most: int, primals: Any, tangents: Any) -> Any:
-    """By the implicit function theorem; what a start is has no influence."""
+    """Derivatives by the implicit function theorem; the start has no influence."""
     out = adjusted_image(model, system, most, *primals)
     (m, start), (dm, _) = primals, tangents
     at, zeros = out.at, (jnp.zeros_like(out.at.centre[0]),) * UNKNOWNS

@@ -1,6 +1,6 @@
-"""What people confuse, undone: a block as it would be with x and y exchanged, kappa turned, Z0 negative and so on.
+"""Undoing common confusions: the block with x and y exchanged, kappa rotated, Z0 negative and so on.
 
-An alternative under which the rays agree with their points far better than as given tells what was confused.
+If the rays agree with their points far better under an alternative, this alternative is the probable confusion.
 """
 
 from typing import NamedTuple
@@ -12,8 +12,8 @@ from jaxbundle.geometry.rotation import ROTATION_SYSTEMS, RotationSystem
 from jaxbundle.numerics.host import on_host
 from jaxbundle.orientation.sight import Sight, medians, mostly_beyond, relative_off
 
-PLAIN = 0.3  # fields: below, approximate orientations are rough, not confused
-EXPLAINED = 0.2  # of the angles off: what an alternative may leave
+PLAIN = 0.3  # image fields: below this, approximate orientations are rough, not confused
+EXPLAINED = 0.2  # maximum share of the angles that an alternative may leave
 MIRRORED = (
     ("y", np.array([[1.0, 0.0], [0.0, -1.0]])),
     ("x", np.array([[-1.0, 0.0], [0.0, 1.0]])),
@@ -24,8 +24,13 @@ TURNS = (180.0, 90.0, -90.0)  # deg
 
 
 class Alternative(NamedTuple):
-    """`words`: what would be so. `of`: "rays", "attitudes", "stations", "object" or "both". `component`: of the image
-    or ray. `usual`: a mistake that is made often; others are believed only where no usual one explains as much."""
+    """An alternative.
+
+    `words`:
+
+    its description. `of`: "rays", "attitudes", "stations", "object" or "both". `component`: of the image or ray.
+    `usual`: a frequent mistake; others are accepted only if no usual one is an equally good explanation.
+    """
 
     words: str
     of: str
@@ -35,7 +40,7 @@ class Alternative(NamedTuple):
 
 
 class Given(NamedTuple):
-    """The block as given: its rays, angles in radians, rotation system and the user's unit of angles."""
+    """The input values: rays, angles in radians, rotation system and the user's unit of angles."""
 
     sight: Sight
     angles: Float[np.ndarray, "image 3"]
@@ -44,7 +49,7 @@ class Given(NamedTuple):
 
 
 def of_rays(sight: Sight) -> list[Alternative]:
-    """Image coordinates mirrored: no attitude makes up for it."""
+    """Alternatives with mirrored image coordinates, which no attitude can compensate."""
     words = {
         "y": "y upside down",
         "x": "x mirrored",
@@ -58,7 +63,7 @@ def of_rays(sight: Sight) -> list[Alternative]:
 
 
 def of_object(sight: Sight) -> list[Alternative]:
-    """Easting and northing of everything exchanged: a left-handed system."""
+    """The alternative with easting and northing exchanged everywhere: a left-handed system."""
     exchange = [1, 0, 2]
     moved = sight._replace(
         centre=sight.centre[:, exchange], points=sight.points[:, exchange], known=sight.known[:, exchange]
@@ -67,7 +72,7 @@ def of_object(sight: Sight) -> list[Alternative]:
 
 
 def of_attitudes(given: Given) -> list[Alternative]:
-    """Angles turned, of other units, exchanged, or of another matrix."""
+    """Alternatives with rotated or exchanged angles, other units, or another matrix."""
     first, middle, last = given.system.angles
     turned = {
         f"{last} off by {turn:g} deg": (given.angles + np.array([0.0, 0.0, np.radians(turn)]), last) for turn in TURNS
@@ -95,7 +100,7 @@ def of_attitudes(given: Given) -> list[Alternative]:
 
 
 def of_both(sight: Sight) -> list[Alternative]:
-    """Solutions that the image equation cannot tell from the right one: all points lie behind the cameras."""
+    """Alternatives that satisfy the image equation equally well, with all points behind the cameras."""
     upside_down = sight._replace(
         centre=_above_ground(sight), rotation=sight.rotation * np.array([-1.0, -1.0, 1.0])[None, :, None]
     )
@@ -107,14 +112,14 @@ def of_both(sight: Sight) -> list[Alternative]:
 
 
 def _above_ground(sight: Sight) -> Float[np.ndarray, "image 3"]:
-    """Centres mirrored in the mean height of the points."""
+    """Projection centres mirrored at the mean height of the points."""
     finite = np.isfinite(sight.believed).all(1)
     ground = np.median(sight.believed[finite, 2]) if finite.any() else 0.0
     return np.c_[sight.centre[:, :2], 2 * ground - sight.centre[:, 2]]
 
 
 def of_stations(sight: Sight) -> list[Alternative]:
-    """Positions of opposite sign or exchanged."""
+    """Alternatives with positions of opposite sign or exchanged."""
     height = np.array([1.0, 1.0, -1.0])
     mirrored = _above_ground(sight)
     return [
@@ -125,7 +130,7 @@ def of_stations(sight: Sight) -> list[Alternative]:
 
 
 def _units(unit: str) -> dict[str, float]:
-    """Factors to angles that were read in a unit but are given in another one."""
+    """Factors for angles that were read in one unit but are given in another one."""
     per_turn = {"deg": 360.0, "gon": 400.0, "rad": 2 * np.pi}
     return {other: per_turn[unit] / turn for other, turn in per_turn.items() if other != unit}
 
@@ -136,14 +141,14 @@ def _attitudes(sight: Sight, system: RotationSystem, angles: Float[np.ndarray, "
 
 
 def left(sight: Sight) -> Float[np.ndarray, " image"]:
-    """Median angle off of each image, in fields."""
+    """Median angle between rays and points of each image, in image fields."""
     points = sight.believed
     usable = sight.is_believed[sight.point]
     return medians(relative_off(sight, points)[usable], sight.image[usable], len(sight.centre))
 
 
 def mirrored(sight: Sight) -> Alternative | None:
-    """The mirrored image coordinates or object system that would make most images agree with their points."""
+    """The mirrored image coordinates or object system with which the most images agree with their points."""
     usable = sight.is_believed[sight.point]
     doubtful = mostly_beyond(relative_off(sight, sight.believed)[usable], PLAIN, sight.image[usable], len(sight.centre))
     if 2 * doubtful.sum() <= len(np.unique(sight.image[usable])):
@@ -158,5 +163,5 @@ def mirrored(sight: Sight) -> Alternative | None:
 
 
 def explains(alternative: Float[np.ndarray, " image"], now: Float[np.ndarray, " image"]) -> np.ndarray:
-    """Images that agree with their points far better under an alternative."""
+    """Mask of the images that agree with their points far better under an alternative."""
     return (alternative <= EXPLAINED * now) & (alternative <= EXPLAINED)

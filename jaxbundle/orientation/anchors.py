@@ -1,6 +1,6 @@
-"""What ties a part of a block to the object system: control, observed stations, orientations that are given.
+"""Anchors of a part of a block in the object system: control, observed stations, given orientations.
 
-An anchor is a place of the part with its object coordinates; a coordinate that is not known is NaN.
+An anchor is a position in the part with its object coordinates; unknown coordinates are NaN.
 """
 
 from typing import NamedTuple
@@ -9,50 +9,50 @@ import numpy as np
 from jaxtyping import Bool, Float, Int
 
 from jaxbundle.block.block import Block
-from jaxbundle.block.navigation import ATTITUDES, GNSS
+from jaxbundle.block.navigation import ATTITUDES, GNSS_STATIONS
 from jaxbundle.block.observation_kinds import CONTROL, STATIONS
 from jaxbundle.numerics.host import on_host
 
-ENOUGH = 3  # anchors with all coordinates
+ENOUGH = 3  # minimum number of anchors with all coordinates
 
 
 class Given(NamedTuple):
-    """Object coordinates and attitudes that are observed, held, or given for images that are not to be replaced."""
+    """Object coordinates and attitudes that are observed, fixed, or given for images that are not to be replaced."""
 
     points: Float[np.ndarray, "point 3"]
     point_sigmas: Float[np.ndarray, "point 3"]
     centres: Float[np.ndarray, "image 3"]
     centre_sigmas: Float[np.ndarray, "image 3"]
     attitudes: Float[np.ndarray, "image 3 3"]
-    """Rotations object_from_image, NaN where there is none."""
+    """Rotations object_from_image, NaN if unknown."""
     oriented: Bool[np.ndarray, " image"]
-    """Images whose orientation is given."""
+    """Mask of the images with a given orientation."""
     rough: Float[np.ndarray, "image 3"]
-    """Approximate centres; they count where what is observed does not suffice."""
+    """Approximate centres, used if the observed ones are not sufficient."""
 
 
 class Anchors(NamedTuple):
-    """Places of a part and of the object system."""
+    """Positions in a part and in the object system."""
 
     model: Float[np.ndarray, "anchor 3"]
     object_points: Float[np.ndarray, "anchor 3"]
     sigmas: Float[np.ndarray, "anchor 3"]
     is_point: Bool[np.ndarray, " anchor"]
     number: Int[np.ndarray, " anchor"]
-    """Number of the point or of the image."""
+    """Index of the point or of the image."""
 
     @property
     def full(self) -> Bool[np.ndarray, " anchor"]:
-        """Anchors all of whose coordinates are known."""
+        """Mask of the anchors with three known coordinates."""
         return np.asarray(np.isfinite(self.object_points).all(1))
 
     def only(self, chosen: Bool[np.ndarray, " anchor"]) -> "Anchors":
-        """Some of the anchors."""
+        """The selected anchors."""
         return Anchors(*(values[chosen] for values in self))
 
 
 def given_of(block: Block, replaced: Bool[np.ndarray, " image"]) -> Given:
-    """What a block brings along; the orientations of the images in `replaced` are not believed."""
+    """The known values of a block; orientations of the images in `replaced` are not used."""
     s = block.structure
     points = np.where(s.point_free, np.nan, on_host(block.object_points))
     centres, angles = np.array(block.exterior.projection_centre), np.array(block.exterior.angles)
@@ -69,7 +69,7 @@ def given_of(block: Block, replaced: Bool[np.ndarray, " image"]) -> Given:
         sigmas = np.where(observed, on_host(group.sigmas), 0.0)
         if kind is CONTROL:
             _fill(points, point_sigmas, index, values, sigmas)
-        elif kind in (STATIONS, GNSS):
+        elif kind in (STATIONS, GNSS_STATIONS):
             _fill(centres, centre_sigmas, index, values, sigmas)
         elif kind in ATTITUDES.values():
             new = np.isnan(angles[index]).any(1) & observed.all(1)
@@ -81,7 +81,7 @@ def given_of(block: Block, replaced: Bool[np.ndarray, " image"]) -> Given:
 def _fill(
     places: np.ndarray, all_sigmas: np.ndarray, index: np.ndarray, values: np.ndarray, sigmas: np.ndarray
 ) -> None:
-    """Takes over coordinates where there are none yet."""
+    """Copies coordinates where none are known yet."""
     new = np.isnan(places[index]) & np.isfinite(values)
     places[index] = np.where(new, values, places[index])
     all_sigmas[index] = np.where(new, sigmas, all_sigmas[index])
@@ -93,7 +93,7 @@ def anchors_of(
     centre: Float[np.ndarray, "image 3"],
     points: Float[np.ndarray, "point 3"],
 ) -> Anchors:
-    """The anchors of a part: its images with their centres, and its points, NaN where it has none."""
+    """The anchors of a part: its images with their centres, and its points, NaN if missing."""
     known = np.flatnonzero(np.isfinite(given.points).any(1) & np.isfinite(points).all(1))
     full = np.isfinite(given.points[known]).all(1).sum() + np.isfinite(given.centres[images]).all(1).sum()
     if full < ENOUGH:

@@ -1,4 +1,4 @@
-"""What a start from nothing gives: approximate values, how they were found, and how good each step was."""
+"""Result of a start without approximate values: values, method, and quality of each step."""
 
 import math
 from dataclasses import dataclass
@@ -15,15 +15,15 @@ from jaxbundle.orientation.to_object import Basis
 
 
 class Way(Enum):
-    """How the images were oriented."""
+    """The method of the orientation of the images."""
 
-    GIVEN = "orientations given: points intersected"
+    GIVEN = "given orientations: points intersected"
     RESECTION = "images resected from their control points"
-    GLOBAL = "pairs oriented, rotations averaged, positions found together"
+    GLOBAL = "pairs oriented, rotations averaged, positions computed together"
 
 
 class Figure(NamedTuple):
-    """A number that tells how good a step was."""
+    """A number for the quality of a step."""
 
     name: str
     value: float
@@ -31,30 +31,30 @@ class Figure(NamedTuple):
 
     @property
     def words(self) -> str:
-        """The number with its name."""
+        """The number with its name and unit."""
         whole = math.isfinite(self.value) and self.value == round(self.value)
         value = f"{self.value:.0f}" if whole else figure(self.value)
         return f"{self.name} {value}{f' {self.unit}' if self.unit else ''}"
 
 
 class Step(NamedTuple):
-    """A step of the start with its figures."""
+    """A step of the start with its numbers."""
 
     name: str
     figures: tuple[Figure, ...]
 
     @property
     def words(self) -> str:
-        """One line."""
+        """The step as one line of text."""
         return f"{self.name}: {', '.join(f.words for f in self.figures)}"
 
     def value(self, name: str) -> float:
-        """A figure by its name."""
+        """The number with this name."""
         return next(figure.value for figure in self.figures if figure.name == name)
 
 
 class OrientedPart(NamedTuple):
-    """Images that were oriented together, and how they came into the object system."""
+    """Images that were oriented together, and the method of their transformation to the object system."""
 
     images: tuple[str, ...]
     basis: Basis
@@ -62,30 +62,30 @@ class OrientedPart(NamedTuple):
 
 @dataclass(frozen=True, eq=False)
 class Approximation:
-    """Approximate values of a block, and how they were found."""
+    """Approximate values of a block, and the method of their computation."""
 
     block: Block
-    """The block with its start; an orientation that could not be found is NaN."""
+    """The block with its approximate values; an orientation that could not be computed is NaN."""
     way: Way
-    """How the images were oriented."""
+    """The method of the orientation of the images."""
     steps: tuple[Step, ...]
-    """In the order of the work."""
+    """The steps in their order."""
     parts: tuple[OrientedPart, ...]
-    """Images that were oriented together, the largest part first."""
+    """Parts of images that were oriented together, the largest first."""
     loose: tuple[str, ...]
     """Images that could not be oriented."""
     suspect_rays: Bool[np.ndarray, " ray"]
-    """Rays that do not agree with the others. They were left out of the start; the adjustment tries them again."""
+    """Rays that do not agree with the others. They were not used for the start; the adjustment uses them again."""
     findings: tuple[Finding, ...]
-    """What is wrong with the block or was done to it, in words and as objects."""
+    """Findings about the block."""
 
     @property
     def complete(self) -> bool:
-        """Whether every image has an orientation and all of them one system."""
+        """Whether all images have an orientation in one common system."""
         return not self.loose and len(self.parts) <= 1
 
     def summary(self) -> str:
-        """The way, its steps and what was found, one line each."""
+        """The method, its steps and the findings, one line each."""
         oriented = sum(len(part.images) for part in self.parts)
         lines = [f"Start: {self.way.value}", f"  {oriented} of {counted(oriented + len(self.loose), 'image')} oriented"]
         lines += [f"  {step.words}" for step in self.steps]

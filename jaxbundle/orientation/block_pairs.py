@@ -1,7 +1,7 @@
-"""The relative orientations of all pairs of a block, robustly, in rounds of equal arrays.
+"""Robust relative orientations of all pairs of a block, in rounds of equal arrays.
 
-Each round draws `SAMPLES` samples of every pair that is not sure yet. A pair is sure when so many samples have been
-drawn that one of them is free of wrong rays with 99.9 %, at the share of rays that fit its best orientation (Fischler
+Each round draws `SAMPLES` samples of each pair that is not finished. A pair is finished when one of its samples is
+free of wrong rays with a probability of 99.9 %, for the share of rays that fit its best orientation (Fischler
 and Bolles 1981).
 """
 
@@ -14,19 +14,19 @@ from jaxbundle.numerics.host import on_device
 from jaxbundle.orientation.common_rays import MIN_COMMON, CommonRays, Directions, spread
 from jaxbundle.orientation.pair_kernel import PARALLEL, REJECTED, PairRays, oriented_pairs
 
-PAIRS, RAYS, SAMPLES = 64, 48, 32  # of one call: one program for all blocks
-MAX_SAMPLES = 512  # of a pair
+PAIRS, RAYS, SAMPLES = 64, 48, 32  # pairs of one call: one program for all blocks
+MAX_SAMPLES = 512  # maximum samples of a pair
 SURE = 7.0  # -log(0.001)
-NOISE = 1.5  # more samples, since those of right rays are not exact
-MIN_SHARE = 0.25  # of the common rays that fit an accepted pair
-PAIRS_FOR_OPTIMISATION = 600  # below, the pairs take less time than optimising the program
+NOISE = 1.5  # factor of samples, since correct rays have random errors
+MIN_SHARE = 0.25  # minimum share of the common rays that fit an accepted pair
+PAIRS_FOR_OPTIMISATION = 600  # below this number, the pairs take less time than optimising the program
 
 
 class BlockPairs(NamedTuple):
     """Pairs of images with the best and the second orientation, X2 = R X1 + t with t of length 1.
 
-    `fits`: how many of the rays looked at fit and lie in front; `looked_at`: of how many. `parallax`: median angle
-    between the rays of a point in rad. `second_cost`: cost of the second orientation over that of the best one.
+    `fits`: number of used rays that fit and lie in front; `looked_at`: number of used rays. `parallax`: median angle
+    between the rays of a point in rad. `second_cost`: ratio of the costs of the second and the best orientation.
     """
 
     pairs: Int[np.ndarray, "pair 2"]
@@ -39,16 +39,16 @@ class BlockPairs(NamedTuple):
 
     @property
     def accepted(self) -> Bool[np.ndarray, " pair"]:
-        """Pairs with enough rays that fit."""
+        """Mask of the pairs with enough fitting rays."""
         return (self.fits >= MIN_COMMON) & (self.fits >= MIN_SHARE * self.looked_at)
 
     def only(self, chosen: Bool[np.ndarray, " pair"] | Int[np.ndarray, " chosen"]) -> "BlockPairs":
-        """Some of the pairs."""
+        """The selected pairs."""
         return BlockPairs(*(values[chosen] for values in self))
 
 
 class _Gathered(NamedTuple):
-    """Rays of the pairs, padded; zeros where there are no more."""
+    """Rays of the pairs, padded with zeros."""
 
     first: Float[np.ndarray, "pair ray 3"]
     second: Float[np.ndarray, "pair ray 3"]
@@ -56,12 +56,12 @@ class _Gathered(NamedTuple):
     valid: Bool[np.ndarray, "pair ray"]
 
     def only(self, chosen: Int[np.ndarray, " chosen"]) -> "_Gathered":
-        """Those of some pairs."""
+        """The rays of the selected pairs."""
         return _Gathered(*(x[chosen] for x in self))
 
 
 def block_pairs(directions: Directions, common: CommonRays) -> BlockPairs:
-    """The orientations of all pairs."""
+    """Computes the orientations of all pairs."""
     rng = np.random.default_rng(0)  # a fixed seed: the same block gives the same start
     rays = _gathered(directions, common, rng)
     count = len(common.pairs)
@@ -70,10 +70,10 @@ def block_pairs(directions: Directions, common: CommonRays) -> BlockPairs:
     left, drawn = np.arange(count), np.zeros(count, int)
     while len(left):
         for start in range(0, len(left), PAIRS):
-            chosen = np.resize(left[start : start + PAIRS], PAIRS)  # a few pairs are sampled several times each
+            chosen = np.resize(left[start : start + PAIRS], PAIRS)  # a few pairs are sampled several times
             new, new_costs = _oriented(rays, chosen, rng, optimised)
             drawn += SAMPLES * np.bincount(chosen, minlength=count)
-            order = np.argsort(-new_costs[:, 0], kind="stable")  # of several results of a pair the best is written last
+            order = np.argsort(-new_costs[:, 0], kind="stable")  # the best of several results of a pair is written last
             order = order[new_costs[order, 0] < costs[chosen[order], 0]]
             values[chosen[order]], costs[chosen[order]] = new[order], new_costs[order]
         share = _looked_at(rays.only(left), values[left])[0] / np.maximum(rays.valid[left].sum(1), 1)
@@ -102,7 +102,7 @@ def _gathered(directions: Directions, common: CommonRays, rng: np.random.Generat
 def _oriented(
     rays: _Gathered, chosen: Int[np.ndarray, " chosen"], rng: np.random.Generator, optimised: bool
 ) -> tuple[Float[np.ndarray, "chosen 12 2"], Float[np.ndarray, "chosen 2"]]:
-    """One round of pairs that fill a call."""
+    """One round for the pairs of one call."""
     uniform = np.where(rays.valid[chosen][:, None], rng.random((PAIRS, SAMPLES, RAYS)), 2.0)
     samples = uniform.argpartition(5, axis=2)[:, :, :5].transpose(2, 1, 0)
     first, second = (on_device(np.ascontiguousarray(x[chosen].transpose(2, 1, 0))) for x in (rays.first, rays.second))

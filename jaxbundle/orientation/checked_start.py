@@ -1,10 +1,10 @@
-"""A start that is checked: what of the approximate values is absurd is replaced where measurements give it surely.
+"""Checking approximate values: absurd ones are replaced if measurements determine them beyond doubt.
 
-An image is absurd if half of its rays are off by more than a field of the camera (`sight.Sight.field`) both from the
-given points and from those its rays meet in; it is replaced by a resection if that leaves a tenth of the angles. A
-point is absurd if its rays are, half of them, off by more than a field; it is replaced by the intersection of its rays
-on the same condition, a control point by its observed coordinates. Approximate values that are merely rough stay as
-they are, to the last bit: the adjustment converges from them.
+An image is absurd if the angles of half of its rays exceed an image field (`sight.Sight.field`), both to the given
+points and to their intersections. It is replaced by a resection if this reduces the angles to a tenth. A point is
+absurd if the angles of half of its rays exceed an image field. It is replaced by the intersection of its rays under the
+same condition, a control point by its observed coordinates. Rough approximate values are not changed at all: the
+adjustment converges from them.
 """
 
 from typing import NamedTuple
@@ -30,21 +30,21 @@ from jaxbundle.orientation.sight import (
     sight_of,
 )
 
-ABSURD = 1.0  # fields; an image turned by 90 degrees is off by 1.4, one turned by 180 degrees by 2
-CONSISTENT = 0.3  # fields; an image turned by 180 degrees leaves more although its points are pulled after it
-FAR_SMALLER = 0.1  # what a replacement may leave of the angles
-ROUGH_FIT = 0.1  # fields; what is left by points that are themselves rough
-LEAST_POINTS = 5  # of a resection that is believed: four and one to check them; of control alone the four
-CONTROL_POINTS = 1  # of an image, that contradict it together with what makes it a suspect
-ROUNDS = 6  # resections of one round give points to those of the next
-SINGLE = 20  # worst images that are tried as the only wrong one
-SAME = 1e-9  # of a coordinate: rounding
-FAR = 20.0  # depths of the other points, at which a point is put whose rays do not meet
-DIVERGING = 6.0  # times the median angle off (four standard deviations): rays that fit no point in front, however far
+ABSURD = 1.0  # image fields; for an image rotated by 90 degrees the angle is 1.4, by 180 degrees 2
+CONSISTENT = 0.3  # image fields; an image rotated by 180 degrees exceeds this although its intersected points follow it
+FAR_SMALLER = 0.1  # maximum share of the angles after a replacement
+ROUGH_FIT = 0.1  # image fields; remaining angles due to rough points
+MIN_POINTS = 5  # minimum points of an accepted resection: four and one check; for control points only, four
+CONTROL_POINTS = 1  # minimum rays of an image that contradict it
+ROUNDS = 6  # rounds: resections of one round add points for the next
+SINGLE = 20  # number of worst images that are tried as the only wrong one
+SAME = 1e-9  # relative rounding of a coordinate
+FAR = 20.0  # multiple of the depth of the other points for a point whose rays do not intersect
+DIVERGING = 6.0  # times the median angle (four standard deviations): rays that fit no point in front, however far
 
 
 class _Start(NamedTuple):
-    """Approximate values on their way; `angles` of replaced images, else NaN."""
+    """Approximate values during the check; `angles` of replaced images, otherwise NaN."""
 
     sight: Sight
     angles: Float[np.ndarray, "image 3"]
@@ -55,23 +55,23 @@ class _Start(NamedTuple):
 
 
 def with_checked_start(block: Block) -> tuple[Block, tuple[Finding, ...]]:
-    """The block with absurd approximate values replaced where that is beyond doubt, and what was replaced.
+    """Replaces absurd approximate values of the block if that is beyond doubt, and reports the replacements.
 
-    Images that a datum or the user holds, and held coordinates, are never changed. Values that are traced, or that are
-    all plausible, are returned as they are.
+    Images and coordinates that the datum or the user fixes are never changed. Traced values, and plausible ones, are
+    returned unchanged.
     """
     if not block.concrete or not len(block.structure.ray_image):
         return block, ()
     with np.errstate(all="ignore"):
         sight = sight_of(block)
-        if mirrored(sight) is not None:  # no attitude and no point makes up for that
+        if mirrored(sight) is not None:  # no attitude and no point can compensate for that
             return block, ()
         checked = checked_start(block, sight)
     return checked.block, checked.findings
 
 
 class CheckedStart(NamedTuple):
-    """A block with a checked start, what was replaced, its rays, and the images that are absurd still."""
+    """A block with a checked start, the replacements, its rays, and the images that are still absurd."""
 
     block: Block
     findings: tuple[Finding, ...]
@@ -80,7 +80,7 @@ class CheckedStart(NamedTuple):
 
 
 def checked_start(block: Block, sight: Sight) -> CheckedStart:
-    """As `with_checked_start`, of a concrete block whose rays are prepared and not mirrored."""
+    """Implements `with_checked_start` for a concrete block with prepared rays that are not mirrored."""
     suspects = suspect_images(sight)
     start = _Start(sight, np.full(sight.centre.shape, np.nan))
     if suspects.any():
@@ -92,7 +92,7 @@ def checked_start(block: Block, sight: Sight) -> CheckedStart:
         return CheckedStart(block, (), sight, suspects)
     findings = (
         *replaced_images(block, start.replaced, start.sight),
-        *replaced_points(block, changed & ~hopeless & sight.is_known, points, "what is observed"),
+        *replaced_points(block, changed & ~hopeless & sight.is_known, points, "observed values"),
         *replaced_points(block, changed & ~hopeless & ~sight.is_known, points, "the intersection of {} rays"),
         *hopeless_points(block, hopeless),
     )
@@ -110,9 +110,9 @@ def _with_values(block: Block, start: _Start, points: Float[np.ndarray, "point 3
 
 
 def suspect_images(sight: Sight) -> Bool[np.ndarray, " image"]:
-    """Images whose rays agree neither with their points as given nor with one another."""
+    """Images whose rays agree neither with their given points nor with each other."""
     count = len(sight.centre)
-    # images in one place that is a mean or none of them may be right by chance
+    # if images share one position, such as a mean, some may be right by chance
     limit = np.where(_shared_place(sight), CONSISTENT, ABSURD)
     absurd = mostly_beyond(relative_off(sight, sight.believed), limit, sight.image, count)
     if not absurd.any():
@@ -121,13 +121,13 @@ def suspect_images(sight: Sight) -> Bool[np.ndarray, " image"]:
 
 
 def _shared_place(sight: Sight) -> Bool[np.ndarray, " image"]:
-    """Images whose centre is that of another image too."""
+    """Mask of the images with the same centre as another image."""
     _, inverse, count = np.unique(sight.centre, axis=0, return_inverse=True, return_counts=True)
     return count[inverse.ravel()] > 1
 
 
 def _agree(sight: Sight, images: Bool[np.ndarray, " image"]) -> Bool[np.ndarray, " image"]:
-    """Images whose rays meet those of the chosen ones in front of the cameras."""
+    """Mask of the images whose rays intersect those of the chosen ones in front of the cameras."""
     meet = intersected(sight, images)
     q = np.where(meet.in_front[sight.point], relative_off(sight, meet.points), np.inf)
     several = np.bincount(sight.point[images[sight.image]], minlength=len(sight.points)) >= 2
@@ -140,7 +140,7 @@ def _agree(sight: Sight, images: Bool[np.ndarray, " image"]) -> Bool[np.ndarray,
 
 
 def _with_images(start: _Start, block: Block) -> _Start:
-    """Absurd orientations replaced."""
+    """Replaces absurd orientations."""
     may = block.structure.exterior_free.all(1)
     system = block.structure.rotation_system
     for _ in range(ROUNDS):
@@ -166,7 +166,7 @@ def _with_images(start: _Start, block: Block) -> _Start:
 def _point_sets(
     sight: Sight, suspects: Bool[np.ndarray, " image"]
 ) -> list[tuple[Float[np.ndarray, "point 3"], Bool[np.ndarray, " ray"]]]:
-    """Points that a resection may go by, with their rays: all as given, control alone, those of the good images."""
+    """Points for a resection, with their rays: all given points, control only, or those of the good images."""
     known = sight.is_known[sight.point]
     given = sight.believed
     sets = [(given, sight.is_believed[sight.point]), (given, known)]
@@ -178,7 +178,7 @@ def _point_sets(
 def _met(
     sight: Sight, images: Bool[np.ndarray, " image"]
 ) -> tuple[Float[np.ndarray, "point 3"], Bool[np.ndarray, " ray"]]:
-    """Control points, and the points in which rays of these images meet."""
+    """Control points, and intersections of rays of these images."""
     meet = intersected(sight, images)
     points = np.where(sight.is_known[:, None], sight.known, meet.points)
     return points, (sight.is_known | meet.in_front)[sight.point]
@@ -195,10 +195,10 @@ def _resected(
     usable: Bool[np.ndarray, " ray"],
     system: RotationSystem,
 ) -> _Start:
-    """Images replaced by their resection from these points, where it is beyond doubt."""
+    """Replaces images by their resection from these points, if it is beyond doubt."""
     sight = start.sight
     count = np.bincount(sight.image[usable], minlength=len(sight.centre))
-    images = images[count[images] >= LEAST_POINTS - sight.is_known[sight.point[usable]].all()]
+    images = images[count[images] >= MIN_POINTS - sight.is_known[sight.point[usable]].all()]
     if not len(images):
         return start
     new = oriented(sight, images, points, usable, system)
@@ -213,13 +213,13 @@ def _resected(
 def sure(
     new: Oriented, field: Float[np.ndarray, " image"], now: Float[np.ndarray, " image"]
 ) -> Bool[np.ndarray, " image"]:
-    """Whether orientations are beyond doubt: `now` is the median angle off of the given ones, in fields."""
+    """Whether orientations are beyond doubt: `now` is the median angle for the given ones, in image fields."""
     relative = new.median / field
     return (relative <= ROUGH_FIT) & (relative <= FAR_SMALLER * now) & (new.behind <= FAR_SMALLER)
 
 
 def _the_wrong_one(sight: Sight, suspects: Bool[np.ndarray, " image"], may: Bool[np.ndarray, " image"]) -> int | None:
-    """The image without which the rays of all others meet, if there is one: the best of the worst."""
+    """The image without which the rays of all others intersect, if there is one."""
     everything = np.ones(len(sight.centre), bool)
     best, at = int(_agree(sight, everything).sum()), None
     worst = medians(relative_off(sight, sight.believed), sight.image, len(sight.centre))
@@ -235,9 +235,11 @@ def _the_wrong_one(sight: Sight, suspects: Bool[np.ndarray, " image"], may: Bool
 def _with_points(
     sight: Sight, block: Block, suspects: Bool[np.ndarray, " image"]
 ) -> tuple[Float[np.ndarray, "point 3"], Bool[np.ndarray, " point"]]:
-    """Coordinates with absurd ones replaced, of control by what is observed; and the points whose rays do not meet, far
-    away in front, unless they diverge by more than other rays are off: in front such a point would run to infinity and
-    bend its images (`robust_intersection.apart`)."""
+    """Replaces absurd coordinates (of control by observed ones).
+
+    Points whose rays do not intersect are put far in front, unless they diverge by more than the angles of other rays:
+    in front such a point would go to infinity and bend its images (`robust_intersection.apart`).
+    """
     count = len(sight.points)
     rays = np.bincount(sight.point, minlength=count)
     q = relative_off(sight, sight.points)
@@ -254,7 +256,7 @@ def _with_points(
     new = np.where(meet.in_front | sight.is_known, new, np.inf)
     better = absurd & (new <= FAR_SMALLER * now) & (new <= CONSISTENT)
     points = np.where(better[:, None], candidates, sight.points)
-    # coordinates that the user gave stay: only those that were intersected behind the cameras are no information
+    # given coordinates are not changed: only intersections behind the cameras have no information
     own = np.linalg.norm(sight.points - meet.points, axis=1) <= SAME * np.linalg.norm(meet.points, axis=1)
     hopeless = absurd & ~better & ~meet.in_front & own & ~sight.is_known
     far = _far(sight)

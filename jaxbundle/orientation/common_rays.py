@@ -1,8 +1,8 @@
-"""Which pairs of images are oriented, and by which of their common points.
+"""Selecting the pairs of images for the orientation, and their common points.
 
-A pair needs common points. Each image is paired with those that share most points with it, and the pairs of a maximum
-spanning tree are added, so that what holds together is not cut. Of many common points those are drawn that are spread
-over the first image: few from each cell of it.
+A pair needs common points. Each image is paired with the images that share the most points, and the pairs of a maximum
+spanning tree are added, so that connected images stay connected. From many common points a selection is spread over the
+first image: few from each cell.
 """
 
 from typing import Any, NamedTuple
@@ -12,9 +12,9 @@ import scipy.sparse
 from jaxtyping import Float, Int
 from scipy.sparse.csgraph import minimum_spanning_tree
 
-NEIGHBOURS = 7  # pairs of an image
-MIN_COMMON = 8  # points of a pair: five are spent on the orientation
-CELLS = 8  # of an image, in each direction
+NEIGHBOURS = 7  # maximum number of pairs of an image
+MIN_COMMON = 8  # minimum number of points of a pair: five determine the orientation
+CELLS = 8  # cells of an image in each direction
 
 
 class Directions(NamedTuple):
@@ -33,11 +33,11 @@ class CommonRays(NamedTuple):
 
     pairs: Int[np.ndarray, "pair 2"]
     rays: tuple[Int[np.ndarray, "common 2"], ...]
-    """Of each pair all rays to common points, on either image."""
+    """For each pair all rays to common points, on both images."""
 
 
 def common_rays(directions: Directions) -> CommonRays:
-    """The pairs that are oriented; a point that is measured twice on an image is taken there once."""
+    """Selects the pairs for the orientation; a point that is measured twice on an image is used once."""
     shape = directions.images, directions.points
     order = np.lexsort((directions.point, directions.image))
     image, point = directions.image[order], directions.point[order]
@@ -64,7 +64,7 @@ def common_rays(directions: Directions) -> CommonRays:
 
 
 def _pairs(common: Any) -> Int[np.ndarray, "pair 2"]:
-    """The neighbours of each image with most common points, and a maximum spanning tree; the first image is smaller.
+    """Pairs of each image with the most common points, and a maximum spanning tree; the first index is smaller.
 
     `common`: numbers of common points, a sparse matrix in rows.
     """
@@ -83,7 +83,7 @@ def _pairs(common: Any) -> Int[np.ndarray, "pair 2"]:
 
 
 def spread(vectors: Float[np.ndarray, "common 3"], number: int, rng: np.random.Generator) -> Int[np.ndarray, " chosen"]:
-    """Numbers of so many of the rays that they are spread over the image; all if there are fewer."""
+    """Indices of a number of rays that are spread over the image; all if there are fewer."""
     if len(vectors) <= number:
         return np.arange(len(vectors))
     plane = vectors[:, :2]

@@ -1,14 +1,15 @@
-"""Two photographs by least squares: rays of one point and the base lie in a plane.
+"""Least-squares orientation of two photographs: both rays of a point and the base are in one plane.
 
     F = B . (d1 x R d2) = 0          d1, d2 photo vectors (a, b, -1), R model_from_second, B the base in the model
 
-The first photograph has no rotation and lies at the origin of the model. With covariances C1, C2 of (a, b) and
+The first photograph has no rotation and is at the origin of the model. With covariances C1, C2 of (a, b) and
 
     g1 = dF/dd1 = R d2 x B,     g2 = dF/dd2 = R^T (B x d1),     sigma_F^2 = g1^T C1 g1 + g2^T C2 g2
 
 r = F / sigma_F is the y-parallax in units of its standard deviation (Foerstner, Wrobel 2016, ch. 13.3). The sum of r^2,
-sigma_F and its derivative renewed in each iteration, has the minimum of the bundle of two photographs. The unknowns are
-a small rotation and two tangents of the unit vector B, so that no attitude and no direction of the base is singular.
+with sigma_F and its derivative updated in each iteration, has the minimum of the bundle of two photographs. The
+unknowns are a small rotation and two tangents of the unit vector B, so that no attitude and no direction of the base is
+singular.
 """
 
 from collections.abc import Callable
@@ -24,11 +25,11 @@ from jaxbundle.geometry.rotation import from_rotation_vector
 UNKNOWNS = 5
 TINY = 1e-300
 FIRST_DAMPING, MIN_DAMPING, MAX_DAMPING = 1e-3, 1e-12, 1e8
-REJECTED = 3.0  # standard deviations of a y-parallax
+REJECTED = 3.0  # limit in standard deviations of a y-parallax
 
 
 class Rays(NamedTuple):
-    """Photo vectors (a, b, -1) of common points, covariances of (a, b), and which points take part."""
+    """Photo vectors (a, b, -1) of common points, covariances of (a, b), and a mask of the used points."""
 
     first: Float[Array, "point 3"]
     second: Float[Array, "point 3"]
@@ -45,7 +46,7 @@ class Pair(NamedTuple):
 
 
 def changed(at: Pair, d: Float[Array, "5"]) -> Pair:
-    """The pair after corrections."""
+    """The orientation after corrections."""
     turn = jnp.stack(from_rotation_vector(d[0], d[1], d[2])).reshape(3, 3)
     across = jnp.cross(at.base, jnp.eye(3)[jnp.argmin(jnp.abs(at.base))])
     across = across / jnp.linalg.norm(across)
@@ -54,7 +55,7 @@ def changed(at: Pair, d: Float[Array, "5"]) -> Pair:
 
 
 def gradients(at: Pair, rays: Rays) -> tuple[Float[Array, " point"], Float[Array, "point 2"], Float[Array, "point 2"]]:
-    """F and its derivatives with respect to a and b in both photographs."""
+    """The condition F and its derivatives with respect to a and b in both photographs."""
     turned = rays.second @ at.rotation.T
     g1 = jnp.cross(turned, at.base)
     g2 = jnp.cross(at.base, rays.first) @ at.rotation
@@ -68,7 +69,7 @@ def variances(g1: Array, g2: Array, rays: Rays) -> Float[Array, " point"]:
 
 
 def parallaxes(at: Pair, rays: Rays) -> Float[Array, " point"]:
-    """r = F / sigma_F, 0 for points that take no part."""
+    """The residual r = F / sigma_F, 0 for unused points."""
     f, g1, g2 = gradients(at, rays)
     variance = variances(g1, g2, rays)
     usable = rays.valid & (variance > TINY)
@@ -76,7 +77,7 @@ def parallaxes(at: Pair, rays: Rays) -> Float[Array, " point"]:
 
 
 class Loss(NamedTuple):
-    """What is minimised, and the weights of the normal equations, as functions of r^2."""
+    """A loss function and the weights of the normal equations, as functions of r^2."""
 
     value: Callable[[Array], Array]
     weight: Callable[[Array], Array]
@@ -86,12 +87,12 @@ CAUCHY = Loss(lambda s: 4 * jnp.log1p(s / 4), lambda s: 1 / (1 + s / 4))
 
 
 def squares(used: Bool[Array, " point"]) -> Loss:
-    """The sum of squares of the points that are used."""
+    """The sum of squares of the used points."""
     return Loss(lambda s: jnp.where(used, s, 0.0), lambda s: jnp.where(used, 1.0, 0.0) + 0 * s)
 
 
 def normal_equations(at: Pair, rays: Rays, loss: Loss) -> tuple[Array, Array, Array, Array]:
-    """The loss, N, the right side and the rows of r."""
+    """The loss, N, the right-hand side and the rows of r."""
     value = lambda d: parallaxes(changed(at, d), rays)  # noqa: E731
     r, a = value(jnp.zeros(UNKNOWNS)), jax.jacfwd(value)(jnp.zeros(UNKNOWNS))
     weighted = a * loss.weight(r * r)[:, None]
@@ -99,14 +100,14 @@ def normal_equations(at: Pair, rays: Rays, loss: Loss) -> tuple[Array, Array, Ar
 
 
 def refined(start: Pair, rays: Rays, loss: Loss, steps: int) -> tuple[Pair, Float[Array, ""]]:
-    """The pair after Levenberg-Marquardt steps, and the size of the last one that was accepted."""
+    """The orientation after Levenberg-Marquardt steps, and the size of the last accepted step."""
 
     def step(_: Array, state: tuple) -> tuple:
         at, (cost, normals, right), damping, size = state
         diagonal = jnp.diagonal(normals)
         damped = normals + jnp.diag(damping * diagonal + 1e-15 * jnp.max(diagonal) + TINY)
         d = -jnp.linalg.solve(damped, right)
-        d = d / jnp.maximum(1.0, 2 * jnp.max(jnp.abs(d)))  # no step beyond half a radian
+        d = d / jnp.maximum(1.0, 2 * jnp.max(jnp.abs(d)))  # steps are limited to half a radian
         trial = changed(at, d)
         new = normal_equations(trial, rays, loss)[:3]
         accepted = new[0] <= cost * (1 + 1e-13) + 1e-25

@@ -1,11 +1,11 @@
-"""The direct linear transformation: an image of unknown interior from points in space (Abdel-Aziz, Karara 1971).
+"""The direct linear transformation: an image with unknown interior (Abdel-Aziz, Karara 1971).
 
     x ~ P X,    P = K R^T [I | -X0],    K = [-c  s  x0;  0  -c'  y0;  0  0  1]
 
-Two rows of P per point are linear in its twelve elements; the right singular vector of the least singular value
-satisfies them best, in coordinates of mean 0 and equal size (Hartley 1997). K and R come from the first three columns.
-Then Gauss-Newton steps on the image coordinates give the least-squares solution and its cofactors. Points in one plane
-do not determine it.
+Each point gives two linear equations for the twelve elements of P. The solution is the right singular vector of
+the minimum singular value, in coordinates with mean 0 and equal scale (Hartley 1997). K and R come from the first three
+columns. Then Gauss-Newton steps on the image coordinates give the least-squares solution and its cofactors. Points in
+one plane do not determine it.
 """
 
 from typing import NamedTuple
@@ -17,12 +17,12 @@ import numpy as np
 from jaxtyping import Array, ArrayLike, Bool, Float
 
 from jaxbundle.geometry.rotation import OMEGA_PHI_KAPPA, RotationSystem, from_rotation_vector
-from jaxbundle.numerics.float64 import require_float64
 from jaxbundle.numerics.host import is_concrete
+from jaxbundle.numerics.program_cache import prepare_jax
 
 MIN_POINTS = 6  # eleven unknowns, two equations per point
-IN_A_PLANE = 1e-4  # least over greatest eigenvalue of the scatter of the points
-DEGENERATE = 1e-6  # eleventh over first singular value of the linear equations
+IN_A_PLANE = 1e-4  # ratio of minimum and maximum eigenvalue of the scatter of the points
+DEGENERATE = 1e-6  # ratio of the eleventh and the first singular value of the linear equations
 STEPS = 10
 ELEMENTS = ("c", "c'", "s", "x0", "y0", "X0", "Y0", "Z0")
 
@@ -31,25 +31,25 @@ class DirectLinearTransformation(eqx.Module):
     """Interior and exterior orientation of an image; lengths in the image in the unit of its coordinates."""
 
     projection_centre: Float[Array, "3"]
-    """Unit of the object points."""
+    """Projection centre in the unit of the object points."""
     angles: Float[Array, "3"]
-    """In radians."""
+    """The angles in radians."""
     rotation: Float[Array, "3 3"]
     """Matrix object_from_image."""
     principal_distances: Float[Array, "2"]
-    """c in x and c' in y; they agree where pixels are square."""
+    """Principal distances c in x and c' in y; they are equal for square pixels."""
     skew: Float[Array, ""]
-    """s, 0 where the axes are at a right angle."""
+    """Shear s, 0 for orthogonal axes."""
     principal_point: Float[Array, "2"]
     """x0, y0."""
     cofactors: Float[Array, "11 11"]
-    """Of c, c', s, x0, y0, X0, Y0, Z0 and three small angles about the axes of the object system."""
+    """Cofactors of c, c', s, x0, y0, X0, Y0, Z0 and three small angles about the axes of the object system."""
     residuals: Float[Array, "point 2"]
-    """Computed - observed, unit of the coordinates."""
+    """Residuals computed - observed, in the unit of the coordinates."""
     sigma0: Float[Array, ""]
-    """NaN without redundancy."""
+    """Standard deviation of unit weight; NaN without redundancy."""
     flatness: Float[Array, ""]
-    """Least over greatest eigenvalue of the scatter of the points: 0 for points in a plane."""
+    """Ratio of minimum and maximum eigenvalue of the scatter of the points: 0 for points in a plane."""
     determined: Bool[Array, ""]
     """Whether the points determine all eleven elements."""
     mirrored: Bool[Array, ""]
@@ -57,16 +57,16 @@ class DirectLinearTransformation(eqx.Module):
 
     @property
     def standard_deviations(self) -> Float[Array, "11"]:
-        """Of the eleven elements in the order of the cofactors."""
+        """Standard deviations of the eleven elements in the order of the cofactors."""
         return self.sigma0 * jnp.sqrt(jnp.diagonal(self.cofactors))
 
     @property
     def words(self) -> str:
-        """What is wrong with the result (concrete results only), and the cure; empty if nothing is."""
+        """Problem and cure of the result (concrete results only); empty if there is none."""
         if self.flatness < IN_A_PLANE:
             return (
                 "the points lie in a plane, which does not determine the interior orientation; add points off the"
-                " plane, or give the interior and use planar_resection"
+                " plane, or use planar_resection with a known interior"
             )
         if not self.determined:
             return "the points do not determine the eleven elements; add points that are spread in space"
@@ -74,7 +74,7 @@ class DirectLinearTransformation(eqx.Module):
 
 
 class _Elements(NamedTuple):
-    """K in its five elements, R and X0."""
+    """The five elements of K, R and X0."""
 
     interior: Float[Array, "5"]
     rotation: Float[Array, "3 3"]
@@ -88,15 +88,15 @@ def direct_linear_transformation(
     *,
     system: RotationSystem = OMEGA_PHI_KAPPA,
 ) -> DirectLinearTransformation:
-    """The interior and exterior orientation of an image from at least six points in space.
+    """Computes interior and exterior orientation of an image from at least six points in space.
 
     Args:
         object_points: X, Y, Z, one row per point; not in one plane.
-        coordinates: measured x, y, y up, one row per point; of any origin.
+        coordinates: measured x, y, y up, one row per point; any origin.
         sigma: standard deviation of an image coordinate.
-        system: of the angles.
+        system: rotation system of the angles.
 
-    Returns: the orientation with its precision. jit and vmap go through it.
+    Returns: the orientation with its precision. It works with jit and vmap.
 
     Raises: ValueError for fewer than six points, other shapes, values that are not finite, or without float64.
 
@@ -106,12 +106,12 @@ def direct_linear_transformation(
         >>> found = jb.orientation.direct_linear_transformation(x, -100 * (x[:, :2] - 4) / (x[:, 2:] - 20))
         >>> found.projection_centre
     """
-    require_float64()
+    prepare_jax()
     count = np.shape(object_points)[0] if np.ndim(object_points) else 0
     if np.shape(object_points) != (count, 3) or np.shape(coordinates) != (count, 2):
         raise ValueError(
             f"object points of shape {np.shape(object_points)} and image coordinates of shape {np.shape(coordinates)};"
-            " give X, Y, Z and x, y of every point"
+            " give X, Y, Z and x, y of each point"
         )
     if count < MIN_POINTS:
         raise ValueError(f"{count} points do not determine eleven elements; measure at least 6, better 10")
@@ -154,14 +154,14 @@ def _transformation(system: RotationSystem, points: Array, xy: Array, sigma: Arr
 
 
 def _normalised(values: Array) -> tuple[Array, Array, Array]:
-    """Values about their mean with a mean square of 1 in each coordinate, the mean and the size."""
+    """Values relative to their mean with a mean square of 1 in each coordinate, the mean and the scale."""
     mean = values.mean(0)
     size = jnp.sqrt(jnp.mean((values - mean) ** 2))
     return (values - mean) / size, mean, size
 
 
 def _linear(x: Array, m: Array) -> tuple[Float[Array, "3 4"], Bool[Array, ""]]:
-    """P by the linear equations, and whether they determine it."""
+    """Solves the linear equations for P, and checks whether they determine it."""
     h = jnp.concatenate([x, jnp.ones((x.shape[0], 1))], 1)
     zero = jnp.zeros_like(h)
     rows = jnp.concatenate([jnp.concatenate([h, zero, -m[:, :1] * h], 1), jnp.concatenate([zero, h, -m[:, 1:] * h], 1)])
@@ -170,7 +170,7 @@ def _linear(x: Array, m: Array) -> tuple[Float[Array, "3 4"], Bool[Array, ""]]:
 
 
 def _taken_apart(p: Float[Array, "3 4"], x: Array) -> tuple[_Elements, Bool[Array, ""]]:
-    """K, R and X0 of P, with points in front of the camera; whether R would have to be a reflection."""
+    """Decomposes P into K, R and X0, with points in front of the camera, and checks whether R is a reflection."""
     centre = -jnp.linalg.solve(p[:, :3], p[:, 3])
     q, r = jnp.linalg.qr(p[::-1, :3].T)
     k, rotation = r.T[::-1, ::-1], q.T[::-1]
@@ -178,7 +178,7 @@ def _taken_apart(p: Float[Array, "3 4"], x: Array) -> tuple[_Elements, Bool[Arra
     k, rotation = k * signs, signs[:, None] * rotation  # rows: R^T
     front = jnp.sum((x - centre) @ rotation[2] < 0) * 2 >= x.shape[0]
     turn = jnp.where(front, 1.0, -1.0)
-    # P and -P are one image: both the third axis and, to keep K, the others change their sign
+    # P and -P are equivalent: the third axis and, to preserve K, the others change their sign
     rotation = turn * rotation
     mirrored = jnp.linalg.det(rotation) < 0
     k = k / k[2, 2]
@@ -192,7 +192,7 @@ def _changed(at: _Elements, d: Float[Array, "11"]) -> _Elements:
 
 
 def _correction(at: _Elements, x: Array, m: Array) -> tuple[Array, Array, Array]:
-    """The step of Gauss and Newton, N and the residuals."""
+    """The Gauss-Newton step, N and the residuals."""
 
     def residuals(d: Array) -> Array:
         e = _changed(at, d)

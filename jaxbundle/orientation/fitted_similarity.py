@@ -1,16 +1,16 @@
-"""Similarities to control by least squares, from many starts at once.
+"""Least-squares similarities to control, from many starts at once.
 
     v = lambda R x + T - X,        Q = Q_X + lambda^2 R Q_x R^T,        sum v^T Q^-1 v = min
 
-Coordinates that are not observed take no part: their rows are 0, and Q has a unit row and column in their place. With
+Coordinates that are not observed are not used: their rows are 0, and Q has unit rows and columns for them. With
 Q = L L^T the weighted residuals are L^-1 v, and their derivatives with respect to the seven unknowns
 
     lambda <- lambda (1 + d_0),   R <- Exp(d_1, d_2, d_3) R,   T <- T + (d_4, d_5, d_6)
 
-are automatic, that of L included: errors of both systems are treated alike. Coordinates are centred and of size 1.
+are automatic, including that of L: errors of both systems are treated equally. Coordinates are centred, with scale 1.
 
 Levenberg-Marquardt steps start from the 24 rotations that map the coordinate axes onto each other, and from the closed
-form with the points of which all coordinates are given. So all minima are found that attract one of the starts.
+form with the points with three given coordinates. So all minima are found that one of the starts converges to.
 """
 
 from itertools import permutations, product
@@ -28,8 +28,8 @@ from jaxbundle.geometry.similarity import Similarity
 UNKNOWNS = 7
 MAX_STEPS = 100
 FIRST_DAMPING, MIN_DAMPING, MAX_DAMPING = 1e-3, 1e-12, 1e12
-SETTLED = 1e-11  # step, of the size of the unknowns
-ROUNDING = 1e-28  # of the sum of squares of the weighted coordinates
+SETTLED = 1e-11  # step relative to the size of the unknowns
+ROUNDING = 1e-28  # share of the sum of squares of the weighted coordinates
 CUBE = np.array(
     [
         matrix
@@ -41,7 +41,7 @@ CUBE = np.array(
 
 
 class Control(NamedTuple):
-    """Points in both systems and their covariances; `observed`: whether an object coordinate takes part."""
+    """Points in both systems and their covariances; `observed`: whether an object coordinate is used."""
 
     model: Float[Array, "point 3"]
     object_points: Float[Array, "point 3"]
@@ -60,13 +60,13 @@ class Fit(NamedTuple):
 
 
 def changed(at: Similarity, d: Float[Array, "7"]) -> Similarity:
-    """The similarity after corrections."""
+    """The similarity after small corrections."""
     turn = jnp.stack(from_rotation_vector(d[1], d[2], d[3])).reshape(3, 3)
     return Similarity(at.scale * (1 + d[0]), turn @ at.rotation, at.translation + d[4:])
 
 
 def residuals(at: Similarity, c: Control) -> Float[Array, "point 3"]:
-    """Transformed - given, 0 for coordinates that are not observed."""
+    """Residuals transformed - given, 0 for coordinates that are not observed."""
     return jnp.where(c.observed, at(c.model) - c.object_points, 0.0)
 
 
@@ -94,7 +94,7 @@ def start(rotation: Float[Array, "3 3"], c: Control) -> Similarity:
 
 
 def fitted(first: Similarity, c: Control) -> Fit:
-    """The minimum that a start leads to."""
+    """The minimum that is reached from a start."""
 
     def linearised(at: Similarity) -> tuple[Array, Array, Array]:
         def weighted(d: Array) -> Array:
@@ -110,7 +110,7 @@ def fitted(first: Similarity, c: Control) -> Fit:
         diagonal = jnp.diagonal(normals)
         damped = normals + jnp.diag(damping * diagonal + 1e-14 * jnp.max(diagonal))
         d = -jnp.linalg.solve(damped, gradient)
-        d = d / jnp.maximum(1.0, 2 * jnp.abs(d[0]))  # the scale stays positive
+        d = d / jnp.maximum(1.0, 2 * jnp.abs(d[0]))  # the scale must be positive
         trial = changed(at, d)
         new = linearised(trial)
         accepted = new[0] <= cost * (1 + 1e-12) + floor
@@ -130,7 +130,7 @@ def fitted(first: Similarity, c: Control) -> Fit:
 
 
 def all_fits(closed: Similarity, c: Control) -> Fit:
-    """Minima from all starts, 25 in a leading axis."""
+    """The minima from all 25 starts, in a leading axis."""
     starts = jax.vmap(lambda rotation: start(rotation, c))(jnp.asarray(CUBE))
     usable = jnp.isfinite(closed.scale) & (closed.scale > 0)
     closed = jax.tree.map(lambda x, y: jnp.where(usable, x, y[0]), closed, starts)

@@ -5,9 +5,9 @@ With d1, d2 the directions of a point in the systems of both images, X2 = R X1 +
     d2^T E d1 = 0              five equations: E = x N1 + y N2 + z N3 + N4
     2 E E^T E - tr(E E^T) E = 0,  det E = 0            ten cubic equations in x, y, z
 
-Elimination leaves a 3 x 3 matrix of polynomials in z that has (x, y, 1) as null vector; its determinant is of the tenth
-degree. Each of its real roots gives one matrix. Gauss-Newton steps on the ten equations restore the digits that the
-elimination has lost.
+Elimination gives a 3 x 3 matrix of polynomials in z with the null vector (x, y, 1); its determinant is of the tenth
+degree. Each of its real roots gives one matrix. Gauss-Newton steps on the ten equations restore the digits lost in
+the elimination.
 """
 
 from itertools import product
@@ -20,9 +20,9 @@ from jaxtyping import Array, Bool, Float
 from jaxbundle.geometry import polynomial
 
 ROOTS = 10
-REAL = 1e-4  # imaginary part over 1 + |z|; a pair that is barely complex is polished to the nearest real matrix
+REAL = 1e-4  # ratio of imaginary part and 1 + |z|; an almost real pair is refined to the nearest real matrix
 POLISHING = 3
-# order of the columns; of x^i y^j z^k
+# order of the columns: exponents of x^i y^j z^k
 MONOMIALS = (
     (3, 0, 0), (0, 3, 0), (2, 1, 0), (1, 2, 0), (2, 0, 1), (2, 0, 0), (0, 2, 1), (0, 2, 0), (1, 1, 1), (1, 1, 0),
     (1, 0, 2), (1, 0, 1), (1, 0, 0), (0, 1, 2), (0, 1, 1), (0, 1, 0), (0, 0, 3), (0, 0, 2), (0, 0, 1), (0, 0, 0),
@@ -30,7 +30,7 @@ MONOMIALS = (
 
 
 def _collected() -> Float[np.ndarray, "64 20"]:
-    """Adds the products of three of (x, y, z, 1) that are the same monomial."""
+    """Adds the products of three of (x, y, z, 1) that are equal monomials."""
     matrix = np.zeros((64, 20))
     for row, factors in enumerate(product(range(4), repeat=3)):
         powers = (factors.count(0), factors.count(1), factors.count(2))
@@ -45,7 +45,7 @@ LEVI_CIVITA = np.array([[[(i - j) * (j - k) * (k - i) / 2 for k in range(3)] for
 def essential_matrices(
     first: Float[Array, "5 3"], second: Float[Array, "5 3"]
 ) -> tuple[Float[Array, "10 3 3"], Bool[Array, " 10"]]:
-    """All matrices, of Frobenius norm sqrt 2, and which of the ten exist; `first`, `second`: unit vectors."""
+    """Ten matrices with Frobenius norm sqrt 2, and a mask of the existing ones; `first`, `second`: unit vectors."""
     rows = (second[:, :, None] * first[:, None, :]).reshape(5, 9)
     q, _ = jnp.linalg.qr(rows.T, mode="complete")
     basis = q[:, 5:].T.reshape(4, 3, 3)
@@ -68,7 +68,7 @@ def _cubic_equations(n: Float[Array, "4 3 3"]) -> Float[Array, "10 20"]:
 
 
 def _row(with_z: Float[Array, " 10"], without: Float[Array, " 10"]) -> tuple[Array, Array, Array]:
-    """An equation less z times another: coefficients of x, y and 1, polynomials in z with the lowest power first."""
+    """One equation minus z times another: coefficients of x, y and 1, polynomials in z, lowest power first."""
 
     def of(part: slice) -> Array:
         return jnp.pad(with_z[part][::-1], (0, 1)) - jnp.pad(without[part][::-1], (1, 0))
@@ -88,7 +88,7 @@ def _determinant(m: list[tuple[Array, Array, Array]]) -> Float[Array, " 11"]:
 
 
 def _null_vector(m: list[tuple[Array, Array, Array]], z: Float[Array, ""]) -> Float[Array, "3"]:
-    """x, y, z: from the largest of the vector products of two rows."""
+    """The unknowns x, y, z from the largest of the vector products of two rows."""
     rows = jnp.stack([jnp.stack([jnp.polyval(c[::-1], z) for c in row]) for row in m])
     rows = rows / jnp.linalg.norm(rows, axis=1, keepdims=True)
     products = jnp.cross(rows, jnp.roll(rows, 1, 0))
@@ -97,8 +97,8 @@ def _null_vector(m: list[tuple[Array, Array, Array]], z: Float[Array, ""]) -> Fl
 
 
 def _polished(xyz: Float[Array, "3"], basis: Float[Array, "4 3 3"]) -> tuple[Float[Array, "3 3"], Float[Array, ""]]:
-    """The matrix after Gauss-Newton steps, and the largest misfit of the ten equations."""
-    # homogeneous, of unit length: large x, y, z are a small coefficient of N4
+    """The matrix after Gauss-Newton steps, and the maximum misfit of the ten equations."""
+    # homogeneous, with unit length: large x, y, z correspond to a small coefficient of N4
     k = jnp.append(xyz, 1.0)
     k = k / jnp.linalg.norm(k)
 

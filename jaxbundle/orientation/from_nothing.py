@@ -1,9 +1,9 @@
-"""`approximate`: approximate values of a block from its rays and whatever else is given.
+"""The function `approximate`: approximate values of a block from its rays and other given values.
 
-The way is chosen by what there is: where all images have an orientation, their rays are intersected; where most images
-show at least four control points, they are resected; else all pairs of images are oriented and put together
-(`global_start`), and brought into the object system by control, observed stations or given orientations (`to_object`).
-Images that are left are resected from the points that are found then.
+The method depends on the input. If all images have an orientation, their rays are intersected. If most images have at
+least four control points, the images are resected. Otherwise all pairs of images are oriented and combined
+(`global_start`), and transformed to the object system by control, observed stations or given orientations
+(`to_object`). The remaining images are resected from the points known then.
 """
 
 from typing import NamedTuple
@@ -15,35 +15,35 @@ from jaxtyping import Bool, Float, Int
 from jaxbundle.block.block import Block
 from jaxbundle.block.given import require_a
 from jaxbundle.block.problems import BlockError, Problem
-from jaxbundle.numerics.float64 import require_float64
 from jaxbundle.numerics.host import on_device
+from jaxbundle.numerics.program_cache import prepare_jax
 from jaxbundle.orientation.anchors import Given, anchors_of, given_of
 from jaxbundle.orientation.approximation import Approximation, Figure, OrientedPart, Step, Way
 from jaxbundle.orientation.common_rays import Directions
 from jaxbundle.orientation.global_start import GlobalStart, PartOrientation, global_start
 from jaxbundle.orientation.oriented import oriented
-from jaxbundle.orientation.planes_and_lines import with_figures
+from jaxbundle.orientation.planes_and_lines import with_planes_and_lines
 from jaxbundle.orientation.robust_intersection import Met, Rays, apart, met
 from jaxbundle.orientation.scale_joints import without_scale
 from jaxbundle.orientation.sight import Sight, direction_sigmas, sight_of
 from jaxbundle.orientation.start_findings import Doubts, start_findings
 from jaxbundle.orientation.to_object import Basis, Placed, Views, closed_form, placed
 
-CONTROL_RAYS = 4  # of an image that can be resected from control
-MOST = 0.6  # share of such images from which on all are resected
-FINEST = 5e-4  # of the field: standard deviation of a direction in a start, half a pixel of a thousand
-SPREAD = 3.0  # times the standard deviation: rays before the adjustment fit no better
-LEAST_POINTS = 5  # of a resection: four and one to check them
-ROUGH = 0.1  # fields; median angle off, with which a resection is believed
-BEHIND = 0.1  # share of the points behind an image that is resected
+CONTROL_RAYS = 4  # minimum control points of an image for a resection
+MOST = 0.6  # minimum share of such images for the resection of all
+FINEST = 5e-4  # share of the image field: standard deviation of a direction in a start, half of a thousandth
+SPREAD = 3.0  # times the standard deviation: misfit of rays before the adjustment
+MIN_POINTS = 5  # minimum points of a resection: four and one check
+ROUGH = 0.1  # image fields; maximum median angle of an accepted resection
+BEHIND = 0.1  # maximum share of the points behind a resected image
 WAVES = 20
-SUSPECT = 10.0  # typical misfits: a ray anywhere on its image is off by many more
+SUSPECT = 10.0  # in typical misfits; a random position on the image has a much larger misfit
 JOINING = 10  # passes with robust weights
-FEWEST = 3  # common points that bring a part into the system of another
+FEWEST = 3  # minimum common points to transform a part into the system of another
 
 
 class State(NamedTuple):
-    """Orientations and points as far as they are found, NaN where they are not."""
+    """The known orientations and points, NaN where unknown."""
 
     rotation: Float[np.ndarray, "image 3 3"]
     centre: Float[np.ndarray, "image 3"]
@@ -52,12 +52,12 @@ class State(NamedTuple):
 
     @property
     def oriented(self) -> Bool[np.ndarray, " image"]:
-        """Images that have an orientation."""
+        """Mask of the images that have an orientation."""
         return np.asarray(np.isfinite(self.centre).all(1) & np.isfinite(self.rotation).all((1, 2)))
 
 
 class _Work(NamedTuple):
-    """The block as the steps need it."""
+    """The data of the block for the steps."""
 
     block: Block
     sight: Sight
@@ -66,16 +66,16 @@ class _Work(NamedTuple):
 
 
 def approximate(block: Block, *, anew: bool = False) -> Approximation:
-    """Finds approximate values of a block: orientations of images that have none, and coordinates of its points.
+    """Computes approximate values of a block: orientations of images without one, and coordinates of points.
 
     Args:
-        block: the block; orientations and coordinates that are not known are NaN.
-        anew: whether orientations and points that are given are found anew as well. What is held stays.
+        block: the block; unknown orientations and coordinates are NaN.
+        anew: whether given orientations and points are recomputed. Fixed ones are not changed.
 
-    Returns: the block with its start, the steps with their figures, and what was found. Rays that do not agree with the
-    others are named and stay in the block.
+    Returns: the block with approximate values, the steps with their numbers, and findings. Rays that do not agree with
+    the others are reported and remain in the block.
 
-    Raises: BlockError for a block without rays, or of sensors that are not photographs; ValueError without float64.
+    Raises: BlockError for a block without rays, or for sensors other than photographs; ValueError without float64.
 
     Example:
         >>> import jaxbundle as jb
@@ -83,7 +83,7 @@ def approximate(block: Block, *, anew: bool = False) -> Approximation:
         >>> print(start.summary())
         >>> result = jb.adjust(start.block)
     """
-    require_float64()
+    prepare_jax()
     require_a(Block, block, "approximate")
     _require_photographs(block)
     replaced = np.full(len(block.structure.image_names), anew)
@@ -92,7 +92,7 @@ def approximate(block: Block, *, anew: bool = False) -> Approximation:
 
 
 def with_images_replaced(block: Block, replaced: Bool[np.ndarray, " image"]) -> Approximation:
-    """As `approximate`, of a concrete block of photographs; the orientations of these images are found anew."""
+    """Implements `approximate` for a concrete block of photographs; the orientations of these images are recomputed."""
     with np.errstate(all="ignore"):
         return _approximate(block, replaced)
 
@@ -100,7 +100,7 @@ def with_images_replaced(block: Block, replaced: Bool[np.ndarray, " image"]) -> 
 def _require_photographs(block: Block) -> None:
     s = block.structure
     if not block.concrete:
-        raise ValueError("approximate works on numbers: call it outside of jit, grad and vmap")
+        raise ValueError("approximate needs concrete numbers: call it outside jit, grad and vmap")
     if not len(s.ray_image):
         raise BlockError([Problem("the block has no rays", "measure points on its images", "rays")])
     if not s.model.photographs:
@@ -145,12 +145,12 @@ def _way(work: _Work) -> Way:
 
 
 def _finite(rows: Float[np.ndarray, "row 3"]) -> Bool[np.ndarray, " row"]:
-    """Rows all of whose numbers are known."""
+    """Mask of the rows without NaN."""
     return np.asarray(np.isfinite(rows).all(1))
 
 
 def _rays(work: _Work, state: State, images: Bool[np.ndarray, " image"]) -> tuple[Rays, Int[np.ndarray, " ray"]]:
-    """Rays of some images in the object system, and their numbers."""
+    """Rays of some images in the object system, and their indices."""
     d = work.directions
     of = np.flatnonzero(images[d.image])
     image = d.image[of]
@@ -166,7 +166,7 @@ def _met(work: _Work, state: State, images: Bool[np.ndarray, " image"]) -> tuple
 def _in_object_system(
     work: _Work, state: State, found: GlobalStart
 ) -> tuple[State, list[tuple[np.ndarray, Basis]], Bool[np.ndarray, " point"], list[Step]]:
-    """All parts brought into the object system; control that was refused; the steps."""
+    """Transforms all parts to the object system; also returns rejected control and the steps."""
     state = state._replace(believed=found.believed)
     parts: list[tuple[np.ndarray, Basis]] = []
     refused, steps = np.zeros(work.directions.points, bool), []
@@ -195,7 +195,7 @@ def _in_object_system(
 
 
 def _own(work: _Work, state: State, part: PartOrientation) -> State:
-    """The part in its own system."""
+    """The part in a separate system."""
     images = work.directions.images
     rotation, centre = np.full((images, 3, 3), np.nan), np.full((images, 3), np.nan)
     rotation[part.images], centre[part.images] = part.rotation.swapaxes(1, 2), part.centre
@@ -209,7 +209,7 @@ def _placed(work: _Work, part: PartOrientation, points: Met) -> tuple:
 
 
 def _joined(own: Float[np.ndarray, "point 3"], others: Float[np.ndarray, "point 3"]) -> Placed | None:
-    """A part by the points that it has in common with another one."""
+    """Transforms a part by its common points with another one."""
     common = np.isfinite(own).all(1) & np.isfinite(others).all(1)
     if common.sum() < FEWEST:
         return None
@@ -234,7 +234,7 @@ def _placed_step(at: Placed, is_point: Bool[np.ndarray, " anchor"]) -> Step:
 
 
 def _waves(work: _Work, state: State) -> tuple[State, int]:
-    """Images that are left, resected from the points that are known by then, until none joins any more."""
+    """Resects the remaining images from the known points, until no further image can be oriented."""
     total = 0
     known = _finite(work.given.points)
     for _ in range(WAVES):
@@ -250,7 +250,7 @@ def _waves(work: _Work, state: State) -> tuple[State, int]:
         of_control = np.isin(work.sight.image, left) & usable & ~known[work.sight.point]
         count = np.bincount(work.sight.image[usable], minlength=len(state.centre))
         other = np.bincount(work.sight.image[of_control], minlength=len(state.centre))
-        left = left[count[left] >= np.where(other[left] > 0, LEAST_POINTS, CONTROL_RAYS)]
+        left = left[count[left] >= np.where(other[left] > 0, MIN_POINTS, CONTROL_RAYS)]
         if not len(left):
             break
         new = oriented(sight, left, np.nan_to_num(points), usable, work.block.structure.rotation_system)
@@ -265,7 +265,7 @@ def _waves(work: _Work, state: State) -> tuple[State, int]:
 
 
 def _answer(work: _Work, way: Way, state: State, rest: tuple) -> Approximation:
-    """The block with all that was found."""
+    """The block with all computed values."""
     steps, parts, refused = rest
     block, s = work.block, work.block.structure
     done = state.oriented
@@ -287,7 +287,7 @@ def _answer(work: _Work, way: Way, state: State, rest: tuple) -> Approximation:
         block,
         (on_device(centre), on_device(angles), on_device(points)),
     )
-    new, _ = with_figures(new)
+    new, _ = with_planes_and_lines(new)
     members = _parts(work, state, parts)
     loose = tuple(s.image_names[k] for k in np.flatnonzero(~done))
     scale = np.zeros(len(done), bool)
@@ -315,7 +315,7 @@ def _points_step(found: Met, sigma: Float[np.ndarray, " ray"], suspects: int) ->
 
 
 def _angles(work: _Work, state: State) -> Float[np.ndarray, "image 3"]:
-    """Angles of the orientations that are new; those that are given stay to the last bit."""
+    """Angles of the new orientations; given angles are not changed."""
     system = work.block.structure.rotation_system
     new = np.stack([np.asarray(x) for x in system.angles_from_rotation(tuple(state.rotation.reshape(-1, 9).T))], 1)
     return np.where(work.given.oriented[:, None], np.asarray(work.block.exterior.angles), new)
@@ -324,12 +324,14 @@ def _angles(work: _Work, state: State) -> Float[np.ndarray, "image 3"]:
 def _points(
     work: _Work, state: State, found: Met, refused: Bool[np.ndarray, " point"]
 ) -> tuple[Float[np.ndarray, "point 3"], Bool[np.ndarray, " point"]]:
-    """Control as given, all others from their rays, those whose rays do not meet in front as `apart` says; and which
-    lie behind their images."""
+    """Coordinates of points: given control, otherwise intersections; and which points lie behind their images.
+
+    A point whose rays do not intersect in front is put where `apart` says.
+    """
     points, (rays, _) = found.points.copy(), _rays(work, state, state.oriented)
     count = len(points)
     depth = ((points[rays.point] - rays.centre) * rays.along).sum(1)
-    # nearly parallel rays of a rough start may meet behind their images
+    # nearly parallel rays of a rough start may intersect behind their images
     behind = np.bincount(rays.point, ~(depth > 0), count) > 0
     lost = behind & (np.bincount(rays.point, found.fits, count) < 2) & (np.bincount(rays.point, minlength=count) >= 2)
     if lost.any():
@@ -349,7 +351,7 @@ def _noise(found: Met) -> float:
 
 
 def _parts(work: _Work, state: State, parts: list[tuple[np.ndarray, Basis]]) -> list[tuple[np.ndarray, Basis]]:
-    """Images in one system together: those that were given or resected belong to the first part."""
+    """Images in common systems: given and resected images belong to the first part."""
     done = state.oriented
     systems = [(images, basis) for images, basis in parts if basis is Basis.OWN]
     if len(systems) == len(parts) and systems:

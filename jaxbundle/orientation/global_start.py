@@ -1,7 +1,7 @@
-"""Orientations of a whole block from its rays alone: pairs, averaged rotations, linear positions.
+"""Orientations of a whole block only from its rays: pairs, averaged rotations, linear positions.
 
-Nothing depends on the choice of a first pair, and nothing drifts: all pairs are oriented, all rotations are averaged,
-and all positions are found, each at once.
+The result does not depend on a first pair and does not drift: all pairs are oriented, all rotations are averaged, and
+all positions are computed, each in one step.
 """
 
 from typing import NamedTuple
@@ -16,13 +16,13 @@ from jaxbundle.orientation.linear_positions import Bases, Lines, chosen_points, 
 from jaxbundle.orientation.ray_votes import share, votes
 from jaxbundle.orientation.rotation_average import Attitudes, averaged
 
-COARSER = 4.0  # times the standard deviations, if few pairs fit: an interior orientation that is roughly known only
-ENOUGH = 0.5  # share of the pairs that fit
-DOUBTED = 1e-3  # weight of a ray that most of its pairs contradict
+COARSER = 4.0  # factor of the standard deviations if few pairs fit: for a roughly known interior orientation
+ENOUGH = 0.5  # minimum share of the pairs that fit
+DOUBTED = 1e-3  # a smaller weight means that most pairs of a ray contradict it
 
 
 class PartOrientation(NamedTuple):
-    """Images of one part in a system of their own; rotations camera_from_part."""
+    """Images of one part in their own system; rotations camera_from_part."""
 
     images: Int[np.ndarray, " image"]
     rotation: Float[np.ndarray, "image 3 3"]
@@ -30,7 +30,7 @@ class PartOrientation(NamedTuple):
 
 
 class GlobalStart(NamedTuple):
-    """The parts, the largest first; rays that most of their pairs agree with; and the steps."""
+    """The parts in decreasing size; rays that agree with most of their pairs; and the steps."""
 
     parts: tuple[PartOrientation, ...]
     believed: Bool[np.ndarray, " ray"]
@@ -38,7 +38,7 @@ class GlobalStart(NamedTuple):
 
 
 def global_start(directions: Directions) -> GlobalStart:
-    """Orients all images that hang together."""
+    """Orients all connected images."""
     common = common_rays(directions)
     pairs = block_pairs(directions, common)
     if pairs.accepted.sum() < ENOUGH * len(pairs.pairs):
@@ -85,7 +85,7 @@ def _positioned(
     images: Int[np.ndarray, " image"],
     known: tuple[Float[np.ndarray, " ray"], Bases],
 ) -> tuple[PartOrientation, tuple[Figure, ...]]:
-    """Positions of one part; all in one place where its rays have no parallax. `known`: weights of the rays, bases."""
+    """Positions of one part; all equal if its rays have no parallax. `known`: weights of the rays, bases."""
     weight, bases = known
     place = np.full(directions.images, -1)
     place[images] = np.arange(len(images))
@@ -108,7 +108,7 @@ def _positioned(
         Figure("images", len(images)),
         Figure("points", len(points)),
         Figure("rays in front", 100 * found.in_front, "%"),
-        Figure("median angle off the rays", typical, "deg"),
+        Figure("median angle of the rays", typical, "deg"),
         Figure("second over first eigenvalue", found.eigenvalues[1] / max(abs(found.eigenvalues[0]), 1e-12)),
     )
     return PartOrientation(images, rotation, found.centre), figures

@@ -1,10 +1,10 @@
 """Forward intersection: approximate coordinates of points from approximate images.
 
-The point closest to its rays, all rays of the same weight: with projection centres X0 and unit directions d,
+The point closest to its rays, with equal weights of all rays: with projection centres X0 and unit directions d,
 
-    sum (I - d d^T) (X - X0) = 0                      three linear equations a point
+    sum (I - d d^T) (X - X0) = 0                      three linear equations per point
 
-(Kraus 2007, ch. 4.1 intersects so in two images; the sum is its least-squares form for any number of rays.)
+(Kraus 2007, ch. 4.1 has this for two images; the sum is the least-squares form for any number of rays.)
 """
 
 from typing import Any
@@ -21,14 +21,14 @@ from jaxbundle.camera.direction import direction
 from jaxbundle.geometry import rotation
 from jaxbundle.numerics.host import array_module, is_concrete, on_device, on_host
 
-PARALLEL = 1e-12  # squared sine of the angle between two rays: below, it is rounding that makes them meet
+PARALLEL = 1e-12  # squared sine of the angle between two rays: below this the intersection is determined by rounding
 
 
 def intersect(block: Block) -> Block:
-    """The block with coordinates for every object point that has none, from its rays.
+    """Computes coordinates of all object points without coordinates, from their rays.
 
-    A coordinate that is given is kept. Points whose rays are parallel, or that have one ray only, stay NaN. jit and
-    vmap go through it.
+    Given coordinates are not changed. Points with parallel rays, or with only one ray, remain NaN. It works with jit
+    and vmap.
     """
     require_a(Block, block, "orientation.intersect")
     xp, points, ray_point = array_module(block), on_host(block.object_points), block.structure.ray_point
@@ -45,7 +45,7 @@ def intersect(block: Block) -> Block:
 
 @eqx.filter_jit
 def _directions(block: Block, rays: Int[Array, " ray"], image: Int[Array, " ray"]) -> Float[Array, "3 ray"]:
-    """Unit vectors in the object system along the rays."""
+    """Unit vectors along the rays in the object system."""
     structure, unknowns = block.structure, unknowns_of(block)
     interior = tuple(unknowns.interior[:, jnp.asarray(structure.image_camera)[image]])
     x, y = block.rays.coordinates[rays].T
@@ -59,7 +59,7 @@ def closest_to_rays(
     ray_point: Int[np.ndarray, " ray"],
     points: int,
 ) -> Float[Array | np.ndarray, "3 point"]:
-    """Solutions of the normal equations point by point, by cofactors; NaN where they are singular."""
+    """Solutions of the normal equations of each point, by cofactors; NaN if they are singular."""
     xp = array_module((directions, centres))
     origin = centres.mean(1, keepdims=True)  # large coordinates lose digits
     x, y, z = directions
@@ -82,7 +82,7 @@ def closest_to_rays(
 
 
 def _summed(row: Any, ray_point: Int[np.ndarray, " ray"], points: int) -> Any:
-    """Sums over the rays of every point."""
+    """Sums over the rays of each point."""
     if is_concrete(row):
         return np.bincount(ray_point, row, points)
     return jnp.zeros(points).at[ray_point].add(row)

@@ -1,15 +1,15 @@
-"""Positions of images and points from rays whose directions in space are known: one linear problem.
+"""Positions of images and points from rays with known directions in space: one linear problem.
 
     sum w_ip |(I - g g^T)(X_p - C_i)|^2 = min,        g = A_i^T d_ip,        w_ip = rho_ip / (sigma_ip distance_ip)^2
 
-The points are eliminated, as in the adjustment. Of the reduced matrix S three directions are shifts; the eigenvector of
-the smallest other eigenvalue has the positions, up to the scale. The second smallest tells how well they are
-determined: where it is as small, a part has a scale of its own. The distances are renewed with every pass, and rays
-that do not fit lose their weight (rho).
+The points are eliminated, as in the adjustment. Three directions of the reduced matrix S are shifts. The eigenvector of
+the smallest other eigenvalue has the positions, up to the scale. The second smallest eigenvalue shows how well they are
+determined: if it is similar, a part has an undetermined scale. The distances are updated in each pass, and rays that do
+not fit lose their weight (rho).
 
-Part of a block that few points connect to the rest may shrink to one place, where its own rays meet at no cost. This is
-seen by the lengths of the bases, which the angles between the rays of a point tell roughly. Then the problem is solved
-again with weak observations of these lengths: b_ij (C_j - C_i) = parallax_ij.
+A part of the block that few points connect to the rest may shrink to one place, where its own rays intersect without
+misfit. The lengths of the bases, which the angles between the rays of a point give roughly, show it. Then the problem
+is solved again with weak observations of these lengths: b_ij (C_j - C_i) = parallax_ij.
 """
 
 from typing import NamedTuple
@@ -20,39 +20,39 @@ from jaxtyping import Bool, Float, Int
 from scipy.sparse.linalg import splu
 
 PASSES = 4
-ITERATIONS = 12  # of the inverse iteration
+ITERATIONS = 12  # steps of the inverse iteration
 VECTORS = 3
-RIDGE = 1e-11  # of the mean diagonal
-NEAR = 0.1  # of the median distance: a point that falls into a camera would weigh more than all others
-FIT = 4.0  # standard deviations at which a ray has half of its weight
-NARROW = 9.0  # squared standard deviations of a direction
+RIDGE = 1e-11  # share of the mean diagonal
+NEAR = 0.1  # minimum share of the median distance: a point at a camera would have more weight than all others
+FIT = 4.0  # standard deviations for half of the weight of a ray
+NARROW = 9.0  # in squared standard deviations of a direction
 BEHIND = 1e-4  # weight of a ray to a point behind its image
-RAYS = 60  # of an image: more do not improve a start
+RAYS = 60  # rays per image: more do not improve a start
 CLEAR = 0.02  # rad: a smaller angle between rays may be the noise of a pair without base
 SHRUNK = 0.1  # length of a base over that by its angle; depths of a block differ by less
 PRIOR = 1e-3  # of the mean diagonal: weight of a length that is observed by its angle
 
 
 class Positions(NamedTuple):
-    """Projection centres in units of the block; `eigenvalues`: the smallest two that are no shifts."""
+    """Projection centres in units of the block; `eigenvalues`: the two smallest ones without the shifts."""
 
     centre: Float[np.ndarray, "image 3"]
     eigenvalues: Float[np.ndarray, "2"]
     in_front: float
-    """Share of the rays whose points lie in front of their images."""
+    """Share of the rays with points in front of their images."""
     sine: Float[np.ndarray, " ray"]
     """Sines of the angles between rays and their points."""
 
 
 class Lines(NamedTuple):
-    """Rays with directions in space; images and points are numbered without gaps."""
+    """Rays with directions in space; indices of images and points have no gaps."""
 
     image: Int[np.ndarray, " ray"]
     point: Int[np.ndarray, " ray"]
     along: Float[np.ndarray, "ray 3"]
     sigma: Float[np.ndarray, " ray"]
     weight: Float[np.ndarray, " ray"]
-    """What the ray is believed before, between 0 and 1."""
+    """Prior weight of the ray between 0 and 1."""
     images: int
     points: int
 
@@ -69,11 +69,11 @@ class Bases(NamedTuple):
 def chosen_points(
     image: Int[np.ndarray, " ray"], point: Int[np.ndarray, " ray"], weight: Float[np.ndarray, " ray"], points: int
 ) -> Int[np.ndarray, " chosen"]:
-    """Points by which positions are found: those with most believed rays first, until every image has enough."""
+    """Selects points for the positions: those with the most trusted rays first, until each image has enough."""
     rng = np.random.default_rng(0)
     count = np.bincount(point, weight, points)
     rank = np.empty(points)
-    # points with the same number of rays mix, so that they do not come from one corner
+    # points with equal numbers of rays are shuffled, so that they do not come from one corner
     rank[np.lexsort((rng.random(points), -np.minimum(np.round(count), 8)))] = np.arange(points)
     good = (weight > 0.5) & (count[point] >= 1.5)
     ray_image, ray_point = image[good], point[good]
@@ -135,7 +135,7 @@ def _smallest(
     v = _added(weighted, lines.point, lines.points)
     trace = np.einsum("pii->p", v)
     flat = np.linalg.eigvalsh(v)[:, 0] < NARROW * lines.sigma.min() ** 2 * trace
-    if flat.any():  # rays as good as parallel: such a point tells nothing, but rounding would
+    if flat.any():  # almost parallel rays: such a point has no information except rounding
         weighted = np.where(flat[lines.point][:, None, None], 0.0, weighted)
         v, trace = np.where(flat[:, None, None], np.eye(3), v), np.where(flat, 3.0, trace)
     v += (1e-12 * trace + 1e-300)[:, None, None] * np.eye(3)
@@ -201,7 +201,7 @@ def _with_lengths(
 
 
 def _orthonormal(x: Float[np.ndarray, "image 3 vector"]) -> Float[np.ndarray, "image 3 vector"]:
-    """Without shifts, and orthonormal."""
+    """Orthonormal vectors without shifts."""
     x = x - x.mean(0)
     return np.linalg.qr(x.reshape(-1, x.shape[2]))[0].reshape(x.shape)
 

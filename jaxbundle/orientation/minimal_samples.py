@@ -1,8 +1,8 @@
 """Essential matrices and homographies of many samples at once, as scalars that are long arrays.
 
-The equations are those of `five_points`; here the arrays have the samples last, so that a processor takes several of
-them together, and no root finder iterates until all roots are found: a sample that loses a root costs nothing, others
-have it. The real roots of the determinant are searched as changes of its sign on half of a circle,
+The equations are those of `five_points`; here the arrays have the samples last, for vector operations of the processor.
+The root finder does not iterate until all roots are found: a lost root does not matter, because other samples have it.
+    Real roots of the determinant are searched as sign changes on half of a circle,
 
     z = tan theta,        cos^10(theta) det(z) = sum c_k sin^k(theta) cos^(10 - k)(theta)
 
@@ -22,9 +22,9 @@ from jaxbundle.geometry.vectors import Vector, cross, dot
 from jaxbundle.numerics.stored import stored
 from jaxbundle.orientation.five_points import COLLECTED
 
-ROOTS = 6  # real roots that are used; ten exist at most, four to five in the mean
-GRID = 64  # directions at which the sign is looked at; roots in one interval of 2.8 degrees hide each other
-ROOT_STEPS = 10  # of regula falsi
+ROOTS = 6  # number of real roots that are used; at most ten exist, on average four to five
+GRID = 64  # directions for the check of the sign; two roots in one interval of 2.8 degrees are not found
+ROOT_STEPS = 10  # steps of regula falsi
 TINY = 1e-300
 Matrix = tuple[Scalar, ...]  # nine, row by row
 
@@ -36,7 +36,7 @@ _POWERS = np.stack([_SINE**k * _COSINE ** (10 - k) for k in range(11)], 1)
 def essential_matrices(
     first: Float[Array, "3 5 sample"], second: Float[Array, "3 5 sample"], zero: Int[Array, ""]
 ) -> tuple[Float[Array, "9 root sample"], Bool[Array, "root sample"]]:
-    """Matrices of Frobenius norm sqrt 2, row by row, and which exist. `first`, `second`: unit vectors.
+    """Matrices with Frobenius norm sqrt 2, row by row, and a mask of existing ones. `first`, `second`: unit vectors.
 
     `zero`: see `stored`."""
     products = jnp.moveaxis(second[:, None] * first[None, :], 2, 0)
@@ -58,7 +58,7 @@ def essential_matrices(
 
 
 def _null_space(rows: Float[Array, "5 9 sample"], zero: Int[Array, ""]) -> Float[Array, "4 9 sample"]:
-    """Four orthonormal vectors that the five rows are orthogonal to (the last step: Gram and Schmidt)."""
+    """Four orthonormal vectors orthogonal to the five rows (last step: Gram-Schmidt)."""
     solved = _eliminated(rows, zero)
     unit = jnp.broadcast_to(-jnp.eye(4)[:, :, None], (4, 4, rows.shape[-1]))
     vectors = stored(jnp.concatenate([jnp.swapaxes(solved, 0, 1), unit], 1), zero)
@@ -73,16 +73,16 @@ def _null_space(rows: Float[Array, "5 9 sample"], zero: Int[Array, ""]) -> Float
 
 
 def _inner(a: Float[Array, "9 sample"], b: Float[Array, "9 sample"]) -> Float[Array, " sample"]:
-    return _added([a[i] * b[i] for i in range(9)])  # written out: a reduction over a short axis is not vectorised
+    return _added([a[i] * b[i] for i in range(9)])  # explicit sum: a reduction over a short axis is not vectorised
 
 
 def _added(terms: list[Array]) -> Array:
-    """The sum of a few arrays, term by term."""
+    """The explicit sum of a few arrays."""
     return reduce(add, terms)
 
 
 def _eliminated(a: Float[Array, "n m sample"], zero: Int[Array, ""]) -> Float[Array, "n k sample"]:
-    """A^-1 B of rows [A, B] by Gauss and Jordan, with pivots from all rows left."""
+    """A^-1 B of rows [A, B] by Gauss-Jordan elimination, with pivots from all remaining rows."""
     rows = a.shape[0]
     number = jnp.arange(rows)[:, None]
 
@@ -124,7 +124,7 @@ def _cubic_equations(n: Float[Array, "4 3 3 sample"]) -> Float[Array, "10 20 sam
 
 
 def _row(with_z: Float[Array, "10 sample"], without: Float[Array, "10 sample"]) -> tuple[Array, Array, Array]:
-    """An equation less z times another: coefficients of x, y and 1, polynomials in z with the lowest power first."""
+    """One equation minus z times another: coefficients of x, y and 1, polynomials in z, lowest power first."""
 
     def of(part: slice) -> Array:
         return jnp.pad(with_z[part][::-1], ((0, 1), (0, 0))) - jnp.pad(without[part][::-1], ((1, 0), (0, 0)))
@@ -145,7 +145,7 @@ def _determinant(m: list[tuple[Array, Array, Array]]) -> Float[Array, "11 sample
 
 
 def _roots(c: Float[Array, "11 sample"], zero: Int[Array, ""]) -> tuple[Array, Array, Array]:
-    """Sine and cosine of the first roots, and which exist."""
+    """Sine and cosine of the first roots, and a mask of existing ones."""
     values = jnp.tensordot(jnp.asarray(_POWERS), c, 1)
     changes = (values[:-1] < 0) != (values[1:] < 0)
     changes = stored(changes.astype(int), zero) > 0
@@ -172,7 +172,7 @@ def _roots(c: Float[Array, "11 sample"], zero: Int[Array, ""]) -> tuple[Array, A
         u = a - fa * (b - a) / jnp.where(fb == fa, TINY, fb - fa)
         f = value(u)
         opposite = (f < 0) != (fb < 0)
-        # regula falsi with half of the value that stays (Illinois)
+        # regula falsi with half of the unchanged value (Illinois)
         return jnp.where(opposite, b, a), jnp.where(opposite, fb, 0.5 * fa), u, f
 
     zero, one = jnp.zeros(at.shape), jnp.ones(at.shape)
@@ -188,7 +188,7 @@ def _value(c: Float[Array, "k sample"], z: Float[Array, "root sample"]) -> Float
 
 
 def homography(first: list[Vector], second: list[Vector]) -> Matrix:
-    """The matrix with second ~ H first for four pairs of rays; not finite where three of them lie in a plane."""
+    """The matrix with second ~ H first for four pairs of rays; not finite if three of them are in a plane."""
     a = cross(first[1], first[2]), cross(first[2], first[0]), cross(first[0], first[1])
     b = cross(second[1], second[2]), cross(second[2], second[0]), cross(second[0], second[1])
     factors = [dot(b[k], second[3]) / dot(a[k], first[3]) for k in range(3)]

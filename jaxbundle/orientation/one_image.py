@@ -1,17 +1,17 @@
 """Least squares with the six elements of one image as unknowns.
 
-Points are transformed into the system of the photograph reached so far, p = R^T (X - X0). There the correction is that
-of an image at the origin with no rotation, and the rows are automatic derivatives of the package's image equation:
+Points are transformed to the current system of the photograph, p = R^T (X - X0). In this system the correction is that
+of an image at the origin without rotation, and the rows are automatic derivatives of the image equation:
 
     v(c, d) = model.residual(interior, photo_vector(I + [d]x, c, p), measured),       X0 <- X0 + R c,  R <- R S(d)
 
 with the rotation S(d) = I + [d]x + ...
 
-Gauss-Newton; where a step does not reduce v^T P v, Marquardt's damping shortens it. An image ends by an undamped step.
+The method is Gauss-Newton; if a step does not reduce v^T P v, Marquardt's damping shortens it. The iterations of an
 
-Everything is a scalar that may be an array of any shape, with the points first and the images, if there are any, last:
-thousands of images are adjusted by operations on long arrays. An image that has ended keeps its values while others go
-on.
+image end with an undamped step. All values are scalars that may be arrays of any shape, with the points first and the
+images, if any, last: thousands of images are adjusted by operations on long arrays. Finished images do not change
+    during further iterations of others.
 """
 
 from functools import partial
@@ -32,16 +32,16 @@ from jaxbundle.orientation.six_unknowns import UNKNOWNS, backward, cholesky, for
 from jaxbundle.solve.adjustment import Status
 from jaxbundle.solve.undetermined import WEAKEST_SHARE
 
-LIMIT = 1e-8  # |J d| / |v| of the last step, as AngleRule's
-FIRST_DAMPING, LEAST_DAMPING, LARGEST_DAMPING = 1e-4, 1e-6, 1e16  # below the least, none
+LIMIT = 1e-8  # |J d| / |v| of the last step, as in AngleRule
+FIRST_DAMPING, MIN_DAMPING, MAX_DAMPING = 1e-4, 1e-6, 1e16  # below the minimum, no damping
 ROUNDING = 4 * float(np.finfo(float).eps)
 RUNNING = -1
-MOST_TOGETHER = 6  # steps after which most images have ended
-FEW = 8  # what goes on then is one of so many
+MAX_TOGETHER = 6  # number of steps after which most images have converged
+FEW = 8  # maximum share of images in the further steps
 
 
 class Measured(NamedTuple):
-    """What the image is adjusted by; `weights` are 1 / sigma, 0 for a point that takes no part."""
+    """Data of the adjustment of an image; `weights` are 1 / sigma, 0 for unused points."""
 
     interior: Float[Array, "element *image"]
     points: Float[Array, "3 point *image"]
@@ -50,19 +50,19 @@ class Measured(NamedTuple):
 
     @property
     def zero(self) -> Int[Array, ""]:
-        """A 0 that only the running program knows; see `stored`."""
+        """A 0 that is known only at run time; see `stored`."""
         return jnp.minimum(jnp.sum(self.weights[0] > 0), 0)
 
 
 class Orientation(NamedTuple):
-    """Rotation object_from_image and projection centre."""
+    """An orientation: rotation object_from_image and projection centre."""
 
     rotation: Rotation
     centre: Vector
 
 
 class Equations(NamedTuple):
-    """N (lower triangle), J^T P v and v^T P v / 2."""
+    """Normal equations: N (lower triangle), J^T P v and v^T P v / 2."""
 
     normals: list[Scalar]
     gradient: list[Scalar]
@@ -70,7 +70,7 @@ class Equations(NamedTuple):
 
 
 class State(NamedTuple):
-    """The accepted orientation, its equations, and the orientation to be tried next."""
+    """State: the accepted orientation, its equations, and the next orientation to try."""
 
     at: Orientation
     equations: Equations
@@ -81,7 +81,7 @@ class State(NamedTuple):
 
 
 class Solution(NamedTuple):
-    """The adjusted orientation and its equations, how the iterations ended and after how many steps."""
+    """The adjusted orientation and its equations, status and number of the iterations."""
 
     at: Orientation
     equations: Equations
@@ -142,13 +142,13 @@ def factorised(e: Equations, damping: Scalar) -> tuple[list[Scalar], list[Scalar
 
 
 def _next_step(model: CameraModel, m: Measured, noise: Array, s: State) -> State:
-    """Tries an orientation, and finds the next one to be tried."""
+    """Tries an orientation and computes the next one."""
     new = stored(equations(model, s.trial, m), m.zero)
     floor = 4 * ROUNDING * s.equations.cost + 2 * jnp.sqrt(s.equations.cost * noise) + noise
     accepted = (s.trials == 0) | (new.cost <= s.equations.cost + floor)
     running = s.status == RUNNING
     at, e = jax.tree.map(partial(jnp.where, accepted & running), (s.trial, new), (s.at, s.equations))
-    less = jnp.where(s.damping > LEAST_DAMPING, 0.1 * s.damping, 0.0)
+    less = jnp.where(s.damping > MIN_DAMPING, 0.1 * s.damping, 0.0)
     damping = jnp.where(accepted, less, jnp.maximum(10 * s.damping, FIRST_DAMPING))
     factor, scale = stored(factorised(e, damping), m.zero)
     y = stored(forward(factor, [-g * k for g, k in zip(e.gradient, scale, strict=True)]), m.zero)
@@ -157,7 +157,7 @@ def _next_step(model: CameraModel, m: Measured, noise: Array, s: State) -> State
     weakest = 1 / jnp.max(jnp.stack([factor[place(i, i)] for i in range(UNKNOWNS)]), 0) ** 2
     met = undamped & (sum(x * x for x in y) <= 2 * (LIMIT**2 * e.cost + noise))  # |J d|^2
     status = jnp.where(met, int(Status.CONVERGED), RUNNING)
-    status = jnp.where(damping > LARGEST_DAMPING, int(Status.STALLED), status)
+    status = jnp.where(damping > MAX_DAMPING, int(Status.STALLED), status)
     status = jnp.where(undamped & ~(weakest > WEAKEST_SHARE), int(Status.SINGULAR), status)
     return State(
         at,
@@ -170,7 +170,7 @@ def _next_step(model: CameraModel, m: Measured, noise: Array, s: State) -> State
 
 
 def solved(model: CameraModel, m: Measured, start: Orientation, most: int) -> Solution:
-    """At most `most` steps from a start; of many images the few that take long go on by themselves."""
+    """Makes at most `most` steps from a start; the few slow images are continued separately."""
     noise = 0.5 * ROUNDING**2 * jnp.sum((m.coordinates * m.weights) ** 2, (0, 1))
     zero, none = jnp.zeros(noise.shape), jnp.zeros(noise.shape, int)
     start = jax.tree.map(lambda x: jnp.broadcast_to(x, noise.shape), start)
@@ -183,14 +183,14 @@ def solved(model: CameraModel, m: Measured, start: Orientation, most: int) -> So
 
         return lax.while_loop(going, partial(_next_step, model, m, noise), state)
 
-    last = steps(m, noise, first, min(MOST_TOGETHER, most))
+    last = steps(m, noise, first, min(MAX_TOGETHER, most))
     if noise.ndim and noise.shape[0] > FEW:
         few = jnp.argsort(last.status != RUNNING)[: noise.shape[0] // FEW]
         m_few, noise_few, last_few = jax.tree.map(lambda x: x[..., few], (m, noise, last))
         last = jax.tree.map(lambda x, y: x.at[..., few].set(y), last, steps(m_few, noise_few, last_few, most))
     last = steps(m, noise, last, most)
     status = jnp.where(last.status == RUNNING, int(Status.MAXIMUM_ITERATIONS), last.status)
-    at, (x, y, z) = last.trial, m.points  # the last step, too short to be tried, is taken as well
+    at, (x, y, z) = last.trial, m.points  # the last step, which is too short for a trial, is also applied
     depth = photo_vector(at.rotation, at.centre, (x, y, z))[2]
     behind = jnp.any((depth >= 0) & (m.weights[0] > 0), 0)
     status = jnp.where((status == Status.CONVERGED) & behind, int(Status.DIVERGED), status)

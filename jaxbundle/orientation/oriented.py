@@ -1,8 +1,8 @@
-"""Orientations of many images from directions and points some of which may be wrong.
+"""Orientations of many images from directions and points with possible gross errors.
 
-Each image is adjusted from all of its points and from random groups of a few; that with the least median of its angles
-off is taken (least median of squares, Rousseeuw and Leroy 1987, ch. 5). As the rays are directions already, a camera
-without distortion and of principal distance 1 serves all cameras, and one compiled program all blocks.
+Each image is adjusted from all its points and from random groups of a few points; the result with the minimum median of
+the angles is used (least median of squares, Rousseeuw and Leroy 1987, ch. 5). As the rays are directions, a camera
+without distortion and with principal distance 1 represents all cameras, and all blocks use one compiled program.
 """
 
 from typing import NamedTuple
@@ -21,14 +21,14 @@ from jaxbundle.orientation.sight import Sight, angle_off
 from jaxbundle.solve.adjustment import Status
 
 IMAGES, POINTS = 24, 24  # images of one call and points of each: one program for all
-GROUP = 6  # points of a group: four and two to check them
-GROUPS = 11  # with 20 % of wrong points one of 11 groups of 6 is right with 97 %
+GROUP = 6  # points of a group: four and two checks
+GROUPS = 11  # with 20 % wrong points, one of 11 groups of 6 is correct with 97 %
 LEAST = 4
 UNIT_CAMERA = (1.0, 0.0, 0.0, 1.0, 1.0)  # c, x0, y0, pixel_size, y_axis
 
 
 class Oriented(NamedTuple):
-    """Orientations of images; `median`: of the angles off, in radians, NaN where there is no orientation.
+    """Orientations of images; `median`: median of the angles in radians, NaN without orientation.
 
     `behind`: share of the points behind the camera.
     """
@@ -41,7 +41,7 @@ class Oriented(NamedTuple):
 
 
 class _Task(NamedTuple):
-    """One resection: of an image, with so many points of its rays."""
+    """One resection of an image, with a number of points."""
 
     image: int
     rays: Int[np.ndarray, " ray"]
@@ -54,7 +54,7 @@ def oriented(
     usable: Bool[np.ndarray, " ray"],
     system: RotationSystem,
 ) -> Oriented:
-    """Resections of chosen images from the usable rays; NaN for images with fewer than four, or that fail."""
+    """Resects chosen images from the usable rays; NaN for images with fewer than four points or without a result."""
     rng = np.random.default_rng(0)  # a fixed seed: the same block gives the same start
     by_image = {int(i): np.flatnonzero(usable & (sight.image == i)) for i in images}
     tasks: list[_Task] = []
@@ -87,7 +87,7 @@ def _nan(*shape: int) -> np.ndarray:
 def _resected(
     sight: Sight, tasks: list[_Task], points: Float[np.ndarray, "point 3"], system: RotationSystem
 ) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
-    """Rotations, centres and angles of tasks that fill one call; NaN where a resection failed."""
+    """Rotations, centres and angles of the tasks of one call; NaN for failed resections."""
     object_points, plane = np.zeros((IMAGES, POINTS, 3)), np.zeros((IMAGES, POINTS, 2))
     sigmas, origin = np.full((IMAGES, POINTS, 2), np.inf), np.zeros((IMAGES, 3))
     for k in range(IMAGES):

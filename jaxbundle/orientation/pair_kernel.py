@@ -1,14 +1,14 @@
-"""The relative orientations of many pairs of images at once: samples, candidates, the choice, and its refinement.
+"""The relative orientations of many pairs of images at once: samples, candidates, selection and refinement.
 
     X2 = R X1 + t,   y = R d1,   F = t . (y x d2),   g = |t x y|^2 + |t x d2|^2 - 2 F^2,   r^2 = F^2 / (g sigma^2)
 
 with unit vectors d1, d2 of the rays of a point and the standard deviation sigma of their directions: r is the
 y-parallax in units of its standard deviation (Foerstner, Wrobel 2016, ch. 13.3). As for a single pair (`pair_search`),
-candidates come from samples of five rays and from homographies of four of them, and one costs
+candidates come from samples of five rays and from homographies of four of them, and the cost of a candidate is
 
     sum min(r^2 / 9, 1) + 2 (number of points that fit and lie behind a photograph)
 
-All arrays have the pairs last. Costs are summed ray by ray, each for all candidates of all pairs together.
+All arrays have the pairs last. Costs are summed over the rays, for all candidates of all pairs together.
 """
 
 from collections.abc import Callable
@@ -27,16 +27,16 @@ from jaxbundle.orientation.pair_motions import angles_between, motions_from_esse
 
 REJECTED = 9.0  # r^2, three standard deviations
 BEHIND = 2.0  # cost of a point behind a photograph
-PARALLEL = 25.0  # squared standard deviations of a direction; closer rays have no side
-CANDIDATES = 10, 3  # essential matrices and homographies that are taken apart into motions
-REFINED = 3, 2  # motions of either kind that are refined
-STEPS = 10  # of Gauss and Newton
-DISTINCT = 1e-3  # of `angles_between` and of bases: about 1.3 degrees
-TOGETHER = 4  # rays of one turn of the loop: candidates are read once for all of them
+PARALLEL = 25.0  # squared standard deviations of a direction; for closer rays the side is undefined
+CANDIDATES = 10, 3  # number of essential matrices and homographies that are decomposed into motions
+REFINED = 3, 2  # number of motions of each kind that are refined
+STEPS = 10  # Gauss-Newton steps
+DISTINCT = 1e-3  # tolerance of `angles_between` and of bases: about 1.3 degrees
+TOGETHER = 4  # rays of one iteration of the loop: candidates are read once for all of them
 
 
 class PairRays(NamedTuple):
-    """Unit vectors of common rays, the variance of a direction in rad^2, and which take part."""
+    """Unit vectors of common rays, the variance of a direction in rad^2, and a mask of used ones."""
 
     first: Float[Array, "3 ray pair"]
     second: Float[Array, "3 ray pair"]
@@ -52,7 +52,7 @@ class Motions(NamedTuple):
 
 
 class Ray(NamedTuple):
-    """One ray of every pair."""
+    """One ray of each pair."""
 
     first: Vector
     second: Vector
@@ -75,7 +75,7 @@ def _summed(cost: Callable[[Ray], Scalar], rays: PairRays, like: Scalar) -> Arra
 
 
 def _parallax(at: Motions, ray: Ray) -> tuple[Scalar, Scalar, Vector]:
-    """r^2, g sigma^2 and y."""
+    """Computes r^2, g sigma^2 and y."""
     y = apply(at.rotation, ray.first)
     f = dot(at.base, cross(y, ray.second))
     g = squared(cross(at.base, y)) + squared(cross(at.base, ray.second)) - 2 * f * f
@@ -119,7 +119,7 @@ def _homography_cost(h: Float[Array, "9 candidate pair"], rays: PairRays) -> Arr
 
 
 def _best(values: Float[Array, "k candidate pair"], costs: Float[Array, "candidate pair"], number: int) -> Array:
-    """The values of the candidates of least cost."""
+    """The values of the candidates with the minimum cost."""
     at = lax.top_k(-costs.T, min(number, costs.shape[0]))[1].T
     return jnp.take_along_axis(values, at[None], 1)
 
@@ -167,7 +167,7 @@ def _refined(at: Motions, rays: PairRays, zero: Int[Array, ""]) -> Motions:
 
 
 def _solved(matrix: list[Scalar], right: list[Scalar]) -> list[Scalar]:
-    """N^-1 b of five unknowns by Cholesky's factors, N raised by a trifle of its diagonal."""
+    """Computes N^-1 b of five unknowns by Cholesky factors; N is increased by a tiny share of its diagonal."""
     n = len(right)
     place = lambda i, j: i * (i + 1) // 2 + j  # noqa: E731
     trifle = 1e-12 * sum(matrix[place(i, i)] for i in range(n))
@@ -207,7 +207,7 @@ def _candidates(rays: PairRays, chosen: Int[Array, "5 sample pair"], zero: Int[A
 
 @Compiled
 def oriented_pairs(rays: PairRays, chosen: Int[Array, "5 sample pair"]) -> tuple[Array, Array]:
-    """The best orientation of each pair and the best one that differs from it, and their costs.
+    """The best orientation of each pair and the best different one, and their costs.
 
     Returns: nine elements of the rotations and three of the bases, (12, 2, pair); costs (2, pair).
     """

@@ -16,16 +16,16 @@ def _rows(m: Matrix) -> tuple[Vector, Vector, Vector]:
 
 
 def _stacked(motions: list[tuple[Rotation, Vector]]) -> tuple[Rotation, Vector]:
-    """Several motions as one, in a new leading axis."""
+    """Stacks several motions in a new leading axis."""
     rotation = tuple(jnp.stack([r[k] for r, _ in motions]) for k in range(9))
     x, y, z = (jnp.stack([t[k] for _, t in motions]) for k in range(3))
     return rotation, (x, y, z)
 
 
 def motions_from_essential(e: Matrix) -> tuple[Rotation, Vector]:
-    """The four motions of a matrix of Frobenius norm sqrt 2, with bases of length 1 (Horn 1990)."""
+    """The four motions of a matrix with Frobenius norm sqrt 2, with bases of length 1 (Horn 1990)."""
     a, b, c = _rows(e)
-    # the base is across the columns of E: the largest of the vector products of two of them
+    # the base is orthogonal to the columns of E: the largest of the vector products of two of them
     columns = (e[0], e[3], e[6]), (e[1], e[4], e[7]), (e[2], e[5], e[8])
     products = [cross(columns[i], columns[j]) for i, j in ((0, 1), (1, 2), (2, 0))]
     t, size = products[0], squared(products[0])

@@ -1,13 +1,13 @@
-"""The relative orientation of two images from nothing: samples, candidates, and the choice among them.
+"""The relative orientation of two images without approximate values: samples, candidates, and selection.
 
 Samples of five rays give essential matrices, and their first four rays a homography. On flat ground two orientations
-satisfy all coplanarity conditions (Longuet-Higgins 1986), so the conditions alone cannot choose: the false one has
-points behind a photograph. A candidate costs
+satisfy all coplanarity conditions (Longuet-Higgins 1986), so the conditions alone are not sufficient: the wrong one
+has points behind a photograph. The cost of a candidate is
 
     sum min(r^2 / 9, 1) + 2 (number of points that fit and lie behind a photograph)
 
-(first term: MSAC, Torr and Zisserman 2000). Points whose rays are parallel within five standard deviations have no
-side. The best candidates of either kind are refined with all points and Cauchy weights, and compared again.
+(first term: MSAC, Torr and Zisserman 2000). Points whose rays are parallel within five standard deviations have an
+undefined side. The best candidates of each kind are refined with all points and Cauchy weights, and compared again.
 """
 
 from typing import NamedTuple
@@ -22,37 +22,37 @@ from jaxbundle.orientation.five_points import essential_matrices
 from jaxbundle.orientation.two_images import distances, homography, motions_from_essential, motions_from_homography
 
 SAMPLE = 5
-CANDIDATES = 16, 4  # essential matrices and homographies whose points are inspected
-REFINED = 6, 3  # motions of either kind that are refined
+CANDIDATES = 16, 4  # number of essential matrices and homographies whose points are checked
+REFINED = 6, 3  # number of motions of each kind that are refined
 REFINING_STEPS = 12
 BEHIND = 2.0  # cost of a point behind a photograph
 PARALLEL = 5.0  # standard deviations of a direction
-DISTINCT = 0.02  # differences of rotation matrices and bases: below, two orientations are one
+DISTINCT = 0.02  # differences of rotation matrices and bases: below this two orientations are equal
 TOGETHER = 64  # samples
 
 
 class Found(NamedTuple):
-    """Two orientations that differ, the better one first, and their costs; infinite where there is no other."""
+    """Two different orientations, the better one first, and their costs; infinite if there is no second one."""
 
     pairs: Pair
     costs: Float[Array, "2"]
 
 
 def unit_rays(rays: Rays) -> tuple[Float[Array, "point 3"], Float[Array, "point 3"]]:
-    """Unit vectors."""
+    """Unit vectors along directions."""
     first, second = (x / jnp.linalg.norm(x, axis=1, keepdims=True) for x in (rays.first, rays.second))
     return first, second
 
 
 def sides(at: Pair, rays: Rays) -> tuple[Bool[Array, " point"], Bool[Array, " point"]]:
-    """Whether points lie in front of both photographs; whether they lie behind one and have a side at all."""
+    """Whether points are in front of both photographs; whether they are behind one, for points with a defined side."""
     l1, l2, sine_squared = distances(at.rotation.T, -at.base @ at.rotation, *unit_rays(rays))
     sided = sine_squared > PARALLEL**2 * angular_variance(rays)
     return (l1 > 0) & (l2 > 0), sided & ((l1 <= 0) | (l2 <= 0))
 
 
 def cost(at: Pair, rays: Rays) -> Float[Array, ""]:
-    """MSAC and points behind; infinite for a candidate that is not a number."""
+    """The cost: MSAC and points behind; infinite for a candidate with NaN."""
     r = parallaxes(at, rays)
     fits = rays.valid & (jnp.abs(r) < REJECTED)
     behind = sides(at, rays)[1] & fits
@@ -62,7 +62,7 @@ def cost(at: Pair, rays: Rays) -> Float[Array, ""]:
 
 
 def search(rays: Rays, key: Array, samples: int) -> Found:
-    """The best orientation and the best one that differs from it."""
+    """The best orientation and the best different one."""
     uniform = jax.random.uniform(key, (samples, rays.first.shape[0]))
     _, chosen = lax.top_k(jnp.where(rays.valid, uniform, -1.0), SAMPLE)
     first, second = unit_rays(rays)
@@ -110,7 +110,7 @@ def _msac(squares: Array, valid: Array) -> Array:
 
 
 def angular_variance(rays: Rays) -> Float[Array, " point"]:
-    """Of the angle between both rays of a point, the mean over its directions."""
+    """Variance of the angle between both rays of a point, the mean over its directions."""
     parts = ((rays.first, rays.first_covariance), (rays.second, rays.second_covariance))
     return sum((0.5 * jnp.trace(c, axis1=1, axis2=2) / jnp.sum(x * x, 1) for x, c in parts), jnp.zeros(()))
 

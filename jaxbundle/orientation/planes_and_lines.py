@@ -1,12 +1,12 @@
-"""Approximate values of what approximate coordinates tell: orientations of sets of directions, planes and lines.
+"""Approximate values from approximate coordinates: orientations of sets of directions, planes and lines.
 
 A plane or line is described in a fixed frame (block/geodetic.py) at the centre of gravity of its points. The third axis
-is the normal of the plane, the right singular vector of the smallest singular value of the coordinates from there, or
-the direction of the line, that of the largest. In this frame all parameters are 0.
+is the normal of the plane, the right singular vector of the minimum singular value of the centred coordinates, or the
+direction of the line, that of the maximum. In this frame all parameters are 0.
 
-A singular vector has no sign, and two of equal singular values no direction: both would hang on the order of the rows.
-So the third axis points up (to +Y where it is horizontal, to +X where it is parallel to X), and the first one is the
-projection of the coordinate axis that is farthest from the third.
+The sign of a singular vector is undefined, and also its direction for equal singular values: both would depend on the
+order of the rows. So the third axis points up (to +Y where it is horizontal, to +X where it is parallel to X), and the
+first one is the projection of the coordinate axis that is farthest from the third.
 """
 
 from collections.abc import Iterator
@@ -20,15 +20,15 @@ from jaxbundle.block.geodetic import LINES, PLANES, geodetic_kind
 from jaxbundle.block.problems import Problem
 from jaxbundle.numerics.host import on_device
 
-DEGENERATE = 1e-6  # extent across over extent along: points that lie on a line, or in one place
-SENSE = 1e-6  # components of unit vectors that differ by less count as equal: far above rounding
+DEGENERATE = 1e-6  # ratio of the extents across and along: points on a line, or at one position
+SENSE = 1e-6  # components of unit vectors that differ by less are equal; far above rounding
 DIRECTIONS = tuple(
     geodetic_kind("directions", start, end) for start in ("point", "image") for end in ("point", "image")
 )
 
 
-def with_figures(block: Block) -> tuple[Block, list[Problem]]:
-    """The block with parameters and frames in place of those that are NaN, and figures that cannot be fitted."""
+def with_planes_and_lines(block: Block) -> tuple[Block, list[Problem]]:
+    """The block with parameters and frames for those that are NaN, and problems of degenerate planes and lines."""
     values = np.array(block.parameters)
     constants = [np.array(group.constants) for group in block.groups]
     problems = []
@@ -62,17 +62,17 @@ def _azimuths(block: Block, touches: tuple[str, ...], indices: Int[np.ndarray, "
 def _figures(
     indices: Int[np.ndarray, "member touched"], wanted: Int[np.ndarray, " row"]
 ) -> Iterator[Int[np.ndarray, " member"]]:
-    """The members of each figure of which a row is wanted."""
+    """The members of each plane or line with a requested row."""
     for parameters in np.unique(indices[wanted, 1:], axis=0):
         yield np.flatnonzero((indices[:, 1:] == parameters).all(1))
 
 
 def _frame(points: Float[np.ndarray, "point 3"], plane: bool) -> Float[np.ndarray, "12"] | None:
-    """Origin and axes; None where the points do not determine the figure."""
+    """Origin and axes; None if the points do not determine the plane or line."""
     origin = points.mean(0)
     _, extent, axes = np.linalg.svd(points - origin)
     size = np.append(extent, 0.0)
-    # coordinates themselves carry rounding of their own size
+    # coordinates have rounding errors proportional to their size
     least = max(DEGENERATE * size[0], 1e3 * np.finfo(float).eps * np.abs(points).max())
     if (size[1] if plane else size[0]) <= least:
         return None
@@ -93,6 +93,6 @@ def _upward(direction: Float[np.ndarray, "3"]) -> Float[np.ndarray, "3"]:
 def _no_figure(block: Block, plane: bool, row: int, indices: np.ndarray) -> Problem:
     parameter = block.structure.parameters[indices[1]]
     name = parameter.owner.words if parameter.owner else parameter.name
-    where = "lie on one line" if plane else "lie in one place"
+    where = "lie on one line" if plane else "coincide"
     cure = f"name points that are spread over the {'plane' if plane else 'line'}, or correct their coordinates"
     return Problem(f"{name}: its points {where}", cure, "planes" if plane else "lines", row)

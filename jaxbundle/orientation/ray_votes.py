@@ -1,4 +1,4 @@
-"""How many of the pairs of images that a ray takes part in agree with it."""
+"""Counting the pairs of images that agree with a ray."""
 
 import numpy as np
 from jaxtyping import Bool, Float, Int
@@ -6,15 +6,15 @@ from jaxtyping import Bool, Float, Int
 from jaxbundle.orientation.block_pairs import BlockPairs, pair_fits
 from jaxbundle.orientation.common_rays import CommonRays, Directions
 
-TOGETHER = 400_000  # rays of pairs that are looked at together
+TOGETHER = 400_000  # number of rays of pairs that are processed together
 
 
 def votes(
     directions: Directions, common: CommonRays, pairs: BlockPairs, second: Bool[np.ndarray, " pair"]
 ) -> tuple[Int[np.ndarray, " ray"], Int[np.ndarray, " ray"]]:
-    """For each ray the number of pairs that it fits and the number of pairs it takes part in.
+    """For each ray the number of pairs that it fits, and the number of its pairs.
 
-    `common`, `pairs`: the same pairs; `second`: of which the second orientation is the right one.
+    `common`, `pairs`: the same pairs; `second`: mask of the pairs whose second orientation is correct.
     """
     fits, total = (np.zeros(len(directions.image), int) for _ in range(2))
     lengths = np.array([len(rays) for rays in common.rays])
@@ -37,5 +37,5 @@ def _groups(lengths: Int[np.ndarray, " pair"]) -> list[Int[np.ndarray, " chosen"
 
 
 def share(fits: Int[np.ndarray, " ray"], total: Int[np.ndarray, " ray"]) -> Float[np.ndarray, " ray"]:
-    """Share of the pairs that agree; 1 for a ray of no pair."""
+    """Share of the pairs that agree; 1 for a ray without pairs."""
     return np.where(total > 0, fits / np.maximum(total, 1), 1.0)

@@ -1,9 +1,9 @@
-"""Relative orientation of two photographs: from nothing to five elements, y-parallaxes and a model with covariances.
+"""Relative orientation of two photographs without approximate values: five elements, y-parallaxes, model points.
 
     dependent      the first photograph fixes the system: two components of the base, omega, phi, kappa of the second
     independent    the base is the X axis: phi, kappa of the first, omega, phi, kappa of the second photograph
 
-The third component of the base (dependent) or its length (independent) is the scale of the model and is given.
+The third component of the base (dependent) or its length (independent) is the given scale of the model.
 """
 
 from typing import Any, Literal
@@ -19,18 +19,18 @@ from jaxbundle.camera.direction import direction
 from jaxbundle.camera.model import CameraModel
 from jaxbundle.geometry.rotation import from_omega_phi_kappa, to_omega_phi_kappa
 from jaxbundle.numerics.compilation import Compiled
-from jaxbundle.numerics.float64 import require_float64
 from jaxbundle.numerics.host import is_concrete
+from jaxbundle.numerics.program_cache import prepare_jax
 from jaxbundle.orientation import coplanarity
 from jaxbundle.orientation.coplanarity import REJECTED, Pair, Rays
 from jaxbundle.orientation.pair_search import PARALLEL, Found, angular_variance, search, sides
 
 Convention = Literal["dependent", "independent"]
 SELECTIONS, SELECTION_STEPS, FINAL_STEPS = 3, 5, 20
-SETTLED = 1e-7  # rad: last step; the next one would be of the order of its square
-ALIKE = 1.2  # ratio of the costs of two orientations that cannot be told apart
-MIN_SHARE = 0.25  # of the points beyond five: fewer that fit may fit by chance
-UNDETERMINED = 1e-12  # smallest over largest eigenvalue of the normal equations with a unit diagonal
+SETTLED = 1e-7  # rad: limit of the last step; the next one would be of the order of its square
+ALIKE = 1.2  # ratio of the costs of two orientations that cannot be distinguished
+MIN_SHARE = 0.25  # minimum share of the points in addition to five: fewer may fit by chance
+UNDETERMINED = 1e-12  # ratio of minimum and maximum eigenvalue of the normal equations with a unit diagonal
 
 
 class RelativeOrientation(eqx.Module):
@@ -41,43 +41,43 @@ class RelativeOrientation(eqx.Module):
     elements: Float[Array, "*pair 5"]
     """The five elements, see `names`."""
     cofactors: Float[Array, "*pair 5 5"]
-    """Of the elements; times sigma0^2 they are covariances."""
+    """Cofactors of the elements; times sigma0^2 they are covariances."""
     rotations: Float[Array, "*pair 2 3 3"]
     """Matrices model_from_image of both photographs."""
     projection_centres: Float[Array, "*pair 2 3"]
-    """In the model; the first one is the origin."""
+    """Projection centres in the model; the first one is the origin."""
     model_points: Float[Array, "*pair point 3"]
-    """Intersections of the corrected rays."""
+    """Model points: intersections of the corrected rays."""
     model_cofactors: Float[Array, "*pair point 3 3"]
-    """Of the model points, from the image coordinates and the elements."""
+    """Cofactors of the model points, from the image coordinates and the elements."""
     parallaxes: Float[Array, "*pair point"]
     """y-parallaxes, unit of the image coordinates: in the normal case the difference of y."""
     parallaxes_before: Float[Array, "*pair point"]
-    """The same with the approximate orientation that the least squares started from."""
+    """y-parallaxes with the approximate orientation at the start of the least squares."""
     used: Bool[Array, "*pair point"]
-    """Points that take part in the least squares; the others were rejected or have an infinite sigma."""
+    """Mask of the points used in the least squares; the others were rejected or have an infinite sigma."""
     in_front: Bool[Array, "*pair point"]
-    """Points that lie in front of both photographs."""
+    """Mask of the points in front of both photographs."""
     sigma0: Float[Array, "*pair"]
-    """A posteriori; NaN without redundancy."""
+    """A-posteriori standard deviation of unit weight; NaN without redundancy."""
     redundancy: Array
-    """Used points less 5."""
+    """Number of used points minus 5."""
     converged: Bool[Array, "*pair"]
     """Whether the last step was negligible and the five elements are determined."""
     parallel: Bool[Array, "*pair"]
     """Whether both rays of most points are parallel within their errors: there is no base."""
     other_rotation: Float[Array, "*pair 3 3"]
-    """model_from_image of the second photograph in the next best orientation, the system that of the first one."""
+    """Rotation model_from_image of the second photograph in the next best orientation, system of the first one."""
     other_base: Float[Array, "*pair 3"]
-    """Its base, a unit vector."""
+    """Base of the next best orientation, a unit vector."""
     costs: Float[Array, "*pair 2"]
-    """Of the best and of the next best start: misfits and points behind a photograph."""
+    """Costs of the best and of the next best start: misfits and points behind a photograph."""
     fixed: Array
     """Component of the base that is fixed in the dependent case: 0, 1 or 2."""
 
     @property
     def names(self) -> tuple[str, ...]:
-        """Of the elements of one pair (concrete results only)."""
+        """Names of the elements of one pair (concrete results only)."""
         if self.convention == "independent":
             return "phi1", "kappa1", "omega2", "phi2", "kappa2"
         base = [name for k, name in enumerate(("bx", "by", "bz")) if k != int(self.fixed)]
@@ -85,29 +85,31 @@ class RelativeOrientation(eqx.Module):
 
     @property
     def standard_deviations(self) -> Float[Array, "*pair 5"]:
-        """A posteriori, of the elements."""
+        """A-posteriori standard deviations of the elements."""
         return self.sigma0[..., None] * jnp.sqrt(jnp.diagonal(self.cofactors, axis1=-2, axis2=-1))
 
     @property
     def ambiguous(self) -> Bool[Array, "*pair"]:
-        """Whether another orientation is about as good."""
+        """Whether another orientation has a similar cost."""
         variance = jnp.where(jnp.isnan(self.sigma0), 0.0, jnp.minimum(self.sigma0**2, 1.0))
         return self.costs[..., 1] <= ALIKE * self.costs[..., 0] + variance
 
     @property
     def words(self) -> str:
-        """What is wrong with the orientation of one pair (concrete results only), and the cure; else empty."""
+        """Problem and cure of the orientation of one pair (concrete results only); empty if there is none."""
         used, valid = int(self.used.sum()), int(np.isfinite(self.parallaxes).sum())
         if self.parallel:
-            return "the rays are parallel after a rotation, there is no base; take two images from different stations"
+            return "the rays are parallel after a rotation, there is no base; use two images from different stations"
         if used < 5 + MIN_SHARE * (valid - 5):
-            return f"only {used} of {valid} points fit one orientation; look for points that are confused"
+            return f"only {used} of {valid} points fit one orientation; check for confused points"
         behind = int((self.used & ~self.in_front).sum())
         if behind > used // 10:
-            return f"{behind} of {used} points lie behind a photograph; look for points or images that are confused"
+            return f"{behind} of {used} points lie behind a photograph; check for confused points or images"
         if self.ambiguous:
             return "another orientation fits the points as well; measure more points, some of them off the common plane"
-        return "" if self.converged else "the points do not determine the orientation; measure points in other places"
+        return (
+            "" if self.converged else "the points do not determine the orientation; measure points at other positions"
+        )
 
 
 def relative_orientation(
@@ -124,25 +126,25 @@ def relative_orientation(
     samples: int = 256,
     seed: int = 0,
 ) -> RelativeOrientation:
-    """The relative orientation of two images of the same points, without approximate values.
+    """Computes the relative orientation of two images of the same points, without approximate values.
 
     Args:
         model: camera model.
         interior: its elements, as a row of `block.interior.elements`.
         first: image coordinates of the points in the first image, one row per point.
         second: in the second image.
-        sigmas: standard deviations of all image coordinates, one number or (point, 2); infinite leaves a point out, so
-            that pairs with different numbers of points can be oriented together by vmap.
-        second_camera: model and interior elements of the second image, if they are others.
+        sigmas: standard deviations of all image coordinates, one number or (point, 2); infinite excludes a point, so
+            that pairs with different numbers of points can be batched by vmap.
+        second_camera: model and interior elements of the second image, if different.
         convention: "dependent" or "independent".
-        base: size of the largest component of the base (dependent) or its length (independent).
+        base: size of the maximum component of the base (dependent) or its length (independent).
         robust: whether points whose y-parallax exceeds three standard deviations are rejected.
-        samples: of five points. 256 find the orientation with 51 % of wrong points in 999 of 1000 cases.
-        seed: of the samples.
+        samples: number of samples of five points. 256 are sufficient for 51 % wrong points in 999 of 1000 cases.
+        seed: seed of the samples.
 
-    Returns: the orientation with its precision, and the next best one. jit and vmap go through it.
+    Returns: the orientation with its precision, and the next best one. It works with jit and vmap.
 
-    Raises: ValueError for what cannot be oriented, or without float64.
+    Raises: ValueError for invalid input, or without float64.
 
     Example:
         >>> import numpy as np, jaxbundle as jb
@@ -153,7 +155,7 @@ def relative_orientation(
         >>> found.names
         ('by', 'bz', 'omega2', 'phi2', 'kappa2')
     """
-    require_float64()
+    prepare_jax()
     if convention not in ("dependent", "independent"):
         raise ValueError(f'the convention is "dependent" or "independent", not {convention!r}')
     cameras = (model, interior), second_camera or (model, interior)
@@ -163,7 +165,7 @@ def relative_orientation(
     count = np.shape(first)[0] if np.ndim(first) else 0
     if np.shape(first) != (count, 2) or np.shape(second) != (count, 2):
         raise ValueError(
-            f"image coordinates of shapes {np.shape(first)} and {np.shape(second)}; give x, y of every point in both"
+            f"image coordinates of shapes {np.shape(first)} and {np.shape(second)}; give x, y of each point in both"
         )
     xy, xy2 = jnp.asarray(first, float), jnp.asarray(second, float)
     s = jnp.broadcast_to(jnp.asarray(sigmas, float), (count, 2))
@@ -173,11 +175,9 @@ def relative_orientation(
     if is_concrete((xy, xy2, s)):
         valid = np.isfinite(np.asarray(s)).all(1)
         if not (np.isfinite(np.asarray(xy)[valid]).all() and np.isfinite(np.asarray(xy2)[valid]).all()):
-            raise ValueError("an image coordinate is not a finite number; leave the point out by an infinite sigma")
+            raise ValueError("an image coordinate is not a finite number; exclude the point with an infinite sigma")
         if not (np.asarray(s) > 0).all():
-            raise ValueError(
-                "a sigma is not positive; give a positive standard deviation, infinite to leave a point out"
-            )
+            raise ValueError("a sigma is not positive; give a positive standard deviation, infinite to exclude a point")
     interiors = tuple(jnp.asarray(elements, float) for _, elements in cameras)
     number = 1 if count == 5 else samples
     options = (cameras[0][0], cameras[1][0]), convention, robust, number
@@ -211,8 +211,8 @@ def _fitting(at: Pair, rays: Rays) -> Bool[Array, " point"]:
 
 
 def _photo_vectors(model: CameraModel, interior: Array, x: Array, s: Array, valid: Array) -> tuple[Array, Array]:
-    """(a, b, -1) and the covariance of (a, b), from the residuals of the camera model."""
-    instead = x[jnp.argmax(valid)]  # of a point that takes no part the correction of a distortion might not converge
+    """Photo vectors (a, b, -1) and the covariance of (a, b), from the residuals of the camera model."""
+    instead = x[jnp.argmax(valid)]  # for an unused point the correction of a distortion might not converge
     x, y = jnp.where(valid[:, None], x, instead).T
     elements = tuple(jnp.broadcast_to(element, x.shape) for element in interior)
     along = direction(model, elements, (x, y))
@@ -263,7 +263,7 @@ def _answer(convention: str, rays: Rays, pairs: tuple[Pair, Pair], used: Array, 
     nothing, planes = jnp.zeros(5), jnp.concatenate([rays.first[:, :2], rays.second[:, :2]], 1)
     of_elements = jax.jacfwd(elements)(nothing) @ factor
     of_unknowns = jax.jacfwd(points)(nothing, planes) @ factor
-    columns = [jnp.zeros_like(planes).at[:, k].set(1.0) for k in range(4)]  # a point depends on its own rays only
+    columns = [jnp.zeros_like(planes).at[:, k].set(1.0) for k in range(4)]  # a point depends only on its rays
     of_rays = jnp.stack([jax.jvp(lambda p: points(nothing, p), (planes,), (column,))[1] for column in columns], 2)
     q = jax.vmap(jax.scipy.linalg.block_diag)(rays.first_covariance, rays.second_covariance)
     model_cofactors = of_rays @ q @ of_rays.swapaxes(1, 2) + of_unknowns @ of_unknowns.swapaxes(1, 2)

@@ -1,4 +1,4 @@
-"""Words about approximate values that were replaced."""
+"""Findings about replaced approximate values."""
 
 import numpy as np
 from jaxtyping import Bool, Float
@@ -16,7 +16,7 @@ MOST = 0.5  # share of the images
 def turned(
     first: Float[np.ndarray, "image 3 3"], second: Float[np.ndarray, "image 3 3"]
 ) -> Float[np.ndarray, " image"]:
-    """Angles of the rotations that lead from the first attitudes to the second, in radians."""
+    """Angles of the rotations from the first attitudes to the second, in radians."""
     trace = np.einsum("kij,kij->k", first, second)
     return np.arccos(np.clip((trace - 1) / 2, -1.0, 1.0))
 
@@ -24,7 +24,7 @@ def turned(
 def replaced_images(
     block: Block, replaced: Bool[np.ndarray, " image"], now: Sight, by: str = "replaced by a resection from its points"
 ) -> list[Finding]:
-    """What was done to the images. `by`: how."""
+    """The finding about replaced images. `by`: how they were replaced."""
     structure = block.structure
     if not replaced.any():
         return []
@@ -48,15 +48,17 @@ def replaced_images(
     overturned = (np.abs(up[0]) > VERTICAL) & (np.abs(up[1]) > VERTICAL) & (up[0] * up[1] < 0)
     ground = np.nanmedian(now.believed[:, 2]) if len(now.believed) else np.nan
     above = on_host(block.exterior.projection_centre)[chosen, 2] > ground, now.centre[chosen, 2] > ground
-    overturned &= above[0] != above[1]  # an attitude alone may be wrong by half a turn
+    overturned &= above[0] != above[1]  # a single attitude may be wrong by half a turn
     mirrored = []
     if overturned.sum() > MOST * len(replaced):  # single images may be wrong by half a turn, but not nearly all
         said = (
-            f"control and image coordinates are mirrored: they turn {counted(int(overturned.sum()), 'image')} of"
-            f" {len(replaced)} upside down, to look upwards in place of downwards or the reverse"
+            f"control and image coordinates are mirrored: they rotate {counted(int(overturned.sum()), 'image')} of"
+            f" {len(replaced)} upside down, so that they look upwards instead of downwards or the reverse"
         )
         mirrored = [
-            Finding(Kind.MIRRORED, said, "exchange X and Y of the control, or turn the y axis of the rays", subjects)
+            Finding(
+                Kind.MIRRORED, said, "exchange X and Y of the control, or change the sign of y of the rays", subjects
+            )
         ]
     return [
         *mirrored,
@@ -74,7 +76,7 @@ def replaced_images(
 def replaced_points(
     block: Block, replaced: Bool[np.ndarray, " point"], points: Float[np.ndarray, "point 3"], by: str
 ) -> list[Finding]:
-    """What was done to the points. `by`: what they were replaced by, {} for whose it is."""
+    """The finding about replaced points. `by`: source of the new values, {} for the owner."""
     structure = block.structure
     if not replaced.any():
         return []
@@ -89,12 +91,12 @@ def replaced_points(
 
 
 def hopeless_points(block: Block, hopeless: Bool[np.ndarray, " point"]) -> list[Finding]:
-    """Points whose rays do not meet."""
+    """The finding about points whose rays do not intersect."""
     names = [block.structure.point_names[k] for k in np.flatnonzero(hopeless)]
     if not names:
         return []
     one = len(names) == 1
-    what = f"the rays of {counted(len(names), 'point')} do not meet in front of the cameras: {named(names)}"
+    what = f"the rays of {counted(len(names), 'point')} do not intersect in front of the cameras: {named(names)}"
     it = "it" if one else "them"
-    cure = f"measure {it} again or drop {it}; the adjustment starts with {it} far away"
+    cure = f"re-measure or remove {it}; the adjustment starts with a distant position"
     return [Finding(Kind.WEAK, what, cure, tuple(Subject("points", (name,)) for name in names))]

@@ -1,7 +1,7 @@
-"""Space resection: the exterior orientation of one image from points that are known (Kraus 2007, ch. 4.2).
+"""Space resection: the exterior orientation of one image from known points (Kraus 2007, ch. 4.2).
 
-The start is given, or it is the best of the solutions with the three points that span the largest angles. The image
-equation and the camera models are those of the bundle; the result is that of a bundle whose points are all held.
+The start is given, or it is the best solution with the three points that span the largest angles. The image equation
+and the camera models are those of the bundle; the result is equal to that of a bundle with only fixed points.
 
 Many images are adjusted together by vmap.
 """
@@ -18,8 +18,8 @@ from jaxtyping import Array, ArrayLike, Bool, Float, Int
 from jaxbundle.camera.model import CameraModel
 from jaxbundle.geometry.rotation import OMEGA_PHI_KAPPA, RotationSystem
 from jaxbundle.numerics.compilation import Compiled
-from jaxbundle.numerics.float64 import require_float64
 from jaxbundle.numerics.host import is_concrete
+from jaxbundle.numerics.program_cache import prepare_jax
 from jaxbundle.orientation.adjusted_image import Start, adjusted_image
 from jaxbundle.orientation.one_image import Measured
 from jaxbundle.orientation.six_unknowns import UNKNOWNS
@@ -27,10 +27,10 @@ from jaxbundle.solve.adjustment import Status
 
 
 class Resection(eqx.Module):
-    """The orientation of an image; NaN where the iterations did not converge. Angles in radians.
+    """The orientation of an image; NaN if the iterations did not converge. Angles in radians.
 
-    `cofactors`: of X0, Y0, Z0 and the three angles; times sigma0^2 they are covariances. `residuals`: unit of the rays,
-    y up, 0 for points that take no part. Three points leave no redundancy: sigma0 is NaN.
+    `cofactors`: of X0, Y0, Z0 and the three angles; times sigma0^2 they are covariances. `residuals`: in the unit of
+    the rays, y up, 0 for unused points. Without redundancy (three points) sigma0 is NaN.
     """
 
     projection_centre: Float[Array, "*image 3"]
@@ -44,28 +44,28 @@ class Resection(eqx.Module):
 
     @property
     def converged(self) -> Bool[Array, "*image"]:
-        """Whether there is a result."""
+        """Whether the iterations converged."""
         return self.status == int(Status.CONVERGED)
 
     @property
     def covariance(self) -> Float[Array, "*image 6 6"]:
-        """A posteriori, of X0, Y0, Z0 and the three angles."""
+        """A-posteriori values of X0, Y0, Z0 and the three angles."""
         return self.sigma0[..., None, None] ** 2 * self.cofactors
 
     @property
     def standard_deviations(self) -> Float[Array, "*image 6"]:
-        """A posteriori, of X0, Y0, Z0 and the three angles."""
+        """A-posteriori values of X0, Y0, Z0 and the three angles."""
         return self.sigma0[..., None] * jnp.sqrt(jnp.diagonal(self.cofactors, axis1=-2, axis2=-1))
 
     @property
     def words(self) -> str:
-        """How the iterations of one image ended (concrete results only), and what cures it."""
+        """Status of the iterations of one image (concrete results only), with a cure."""
         status = Status(int(self.status))
         cure = {
             Status.CONVERGED: "",
-            Status.SINGULAR: "; the points do not determine the image: measure four or more that lie on no one line",
+            Status.SINGULAR: "; the points do not determine the image: measure four or more that are not on one line",
             Status.DIVERGED: " behind the points; give a start on their other side",
-        }.get(status, "; give a start, or look for points that are confused")
+        }.get(status, "; give a start, or check for confused points")
         return f"the resection {status.words}{cure}"
 
 
@@ -80,16 +80,16 @@ def resection(
     system: RotationSystem = OMEGA_PHI_KAPPA,
     max_iterations: int = 50,
 ) -> Resection:
-    """The exterior orientation of an image whose interior is known, by least squares.
+    """Computes the exterior orientation of an image with known interior by least squares.
 
     `interior`: elements in the order of the model, as a row of `block.interior.elements`. `coordinates` and their
-    `sigmas` in the unit of the rays; an infinite sigma leaves a point out, so that images of different numbers of
-    points can be adjusted together by vmap. `start`: projection centre and angles in radians; without one at least four
-    points are needed, as three have up to four solutions. jit, vmap and grad go through it.
+    `sigmas` in the unit of the rays; an infinite sigma excludes a point, so that images with different numbers of
+    points can be batched by vmap. `start`: projection centre and angles in radians; without one at least four
+    points are required, as three have up to four solutions. It works with jit, vmap and grad.
 
-    Raises: ValueError for what cannot be adjusted, or without float64.
+    Raises: ValueError for invalid input, or without float64.
     """
-    require_float64()
+    prepare_jax()
     _require(model, interior, object_points, coordinates, start)
     sigmas = jnp.broadcast_to(jnp.asarray(sigmas, float), np.shape(coordinates))
     given = jnp.asarray(interior, float), jnp.asarray(object_points, float), jnp.asarray(coordinates, float), sigmas
@@ -101,14 +101,14 @@ def resection(
 
 
 def _require(model: CameraModel, interior: Any, points: Any, coordinates: Any, start: Any) -> None:
-    """What the shapes tell."""
+    """Raises ValueError for invalid shapes."""
     if np.shape(interior) != (len(model.elements),):
         raise ValueError(f"interior elements of shape {np.shape(interior)}; give {', '.join(model.elements)}")
     count = np.shape(points)[0] if np.ndim(points) else 0
     if np.shape(points) != (count, 3) or np.shape(coordinates) != (count, 2):
         raise ValueError(
             f"object points of shape {np.shape(points)} and image coordinates of shape {np.shape(coordinates)}; give"
-            " X, Y, Z and x, y of every point, one row a point"
+            " X, Y, Z and x, y of each point, one row per point"
         )
     _require_count(count, start)
     if start is not None and [np.shape(part) for part in start] != [(3,), (3,)]:
@@ -123,20 +123,22 @@ def _require_count(count: int, start: Any) -> None:
 
 
 def _require_values(interior: Array, points: Array, coordinates: Array, sigmas: Array, start: Any) -> None:
-    """What concrete values tell."""
+    """Raises ValueError for invalid concrete values."""
     s = np.asarray(sigmas)
     if not (s > 0).all():
-        raise ValueError("a sigma is not positive; give a positive standard deviation, infinite to leave a point out")
+        raise ValueError("a sigma is not positive; give a positive standard deviation, infinite to exclude a point")
     used = np.isfinite(s).all(1)
     _require_count(int(used.sum()), start)
     for what, values in (("point", points), ("image coordinate", coordinates)):
         wrong = np.flatnonzero(used & ~np.isfinite(np.asarray(values)).all(1))
         if len(wrong):
             raise ValueError(
-                f"{what} {wrong[0] + 1} is no finite number; give it, or leave it out by an infinite sigma"
+                f"{what} {wrong[0] + 1} is not a finite number; give it, or exclude it with an infinite sigma"
             )
     if not all(np.isfinite(np.asarray(x)).all() for x in jax.tree.leaves((interior, start))):
-        raise ValueError("the interior or the start is no finite number; give all of their elements")
+        raise ValueError(
+            "the interior or the start has a value that is not a finite number; give all of their elements"
+        )
 
 
 def _resection(
@@ -153,7 +155,7 @@ def _resection(
     count = used.sum()
 
     def of_used(values: Array) -> Array:
-        """Values of points that take no part may be anything: the mean of the others stands for them."""
+        """Replaces the values of unused points, which may be arbitrary, by the mean of the others."""
         values = jnp.where(used[:, None], values, 0.0)
         return jnp.where(used[:, None], values, values.sum(0) / count)
 

@@ -1,8 +1,8 @@
-"""Points from their rays some of which may be wrong.
+"""Intersecting points from rays with possible gross errors.
 
-The point closest to all believed rays is taken. Where it does not fit them, the intersections of pairs of its rays are
-tried, and that is taken which most of its rays fit (MSAC, Torr and Zisserman 2000); then the rays that fit are taken
-together.
+The first solution is the point closest to all trusted rays. If it does not fit them, intersections of pairs of its rays
+are tried, and the one that fits the most rays is selected (MSAC, Torr and Zisserman 2000); then all fitting rays are
+used together.
 """
 
 from typing import NamedTuple
@@ -12,14 +12,14 @@ from jaxtyping import Bool, Float, Int
 
 from jaxbundle.orientation.intersection import closest_to_rays
 
-DEPTHS = 2.0 ** np.arange(-3, 7)  # of a typical depth
-NEARLY = 2.0  # times the least misfit
-TRIALS = 12  # pairs of rays of a point
+DEPTHS = 2.0 ** np.arange(-3, 7)  # share of a typical depth
+NEARLY = 2.0  # times the minimum misfit
+TRIALS = 12  # maximum number of pairs of rays of a point
 FITS = 4.0  # standard deviations
 
 
 class Rays(NamedTuple):
-    """Rays in the object system; `sigma`: standard deviation of a direction in rad; `believed`: before."""
+    """Rays in the object system; `sigma`: standard deviation of a direction in rad; `believed`: trusted at first."""
 
     image: Int[np.ndarray, " ray"]
     point: Int[np.ndarray, " ray"]
@@ -30,8 +30,7 @@ class Rays(NamedTuple):
 
 
 class Met(NamedTuple):
-    """Points, NaN where rays do not meet; which rays fit their points, and by how many standard deviations they do
-    not."""
+    """Points, NaN if their rays do not intersect; mask of the fitting rays, and the misfits in standard deviations."""
 
     points: Float[np.ndarray, "point 3"]
     fits: Bool[np.ndarray, " ray"]
@@ -39,8 +38,10 @@ class Met(NamedTuple):
 
 
 def met(rays: Rays, count: int) -> Met:
-    """All points."""
-    few = np.bincount(rays.point, rays.believed, count) < 2  # the only pair of two rays may err: all are looked at
+    """Intersects all points."""
+    few = (
+        np.bincount(rays.point, rays.believed, count) < 2
+    )  # with two rays the only pair may be wrong: all pairs are tried
     points = _closest(rays, rays.believed | few[rays.point], count)
     off = _off(rays, points)
     number = np.bincount(rays.point, minlength=count)
@@ -87,7 +88,7 @@ def _cost(off: Float[np.ndarray, " ray"], point: Int[np.ndarray, " ray"], count:
 def _tried(
     rays: Rays, doubtful: Int[np.ndarray, " chosen"], points: Float[np.ndarray, "point 3"], count: int
 ) -> Float[np.ndarray, "chosen 3"]:
-    """Of the intersections of two rays of each point, and what there is, that which fits most rays."""
+    """Selects the intersection of two rays of each point, or the present one, that fits the most rays."""
     rng = np.random.default_rng(0)
     place = np.full(count, -1)
     place[doubtful] = np.arange(len(doubtful))

@@ -4,9 +4,9 @@ With attitudes A_i (camera_from_block) and relative rotations R_ji = A_j A_i^T,
 
     e_ij = Log(A_j^T R_ji A_i),        A_i <- A_i Exp(x_i),        e_ij + x_i - x_j = 0
 
-(Chatterjee, Govindu 2018). The coefficients are the same for all three components: one Laplacian, three right sides.
-The start is a spanning tree of the best pairs. First the sum of |e| is minimised, then that of Geman and McClure, whose
-scale follows the median of |e|. Of a pair that has two orientations the one counts that is nearer.
+(Chatterjee, Govindu 2018). The coefficients are the same for all three components: one Laplacian, three right-hand
+sides. The start is a spanning tree of the best pairs. First the sum of |e| is minimised, then that of Geman and
+McClure, whose scale follows the median of |e|. For a pair with two orientations the nearer one is used.
 """
 
 from typing import NamedTuple
@@ -21,18 +21,18 @@ from scipy.spatial.transform import Rotation
 from jaxbundle.orientation.block_pairs import BlockPairs
 
 L1_PASSES, ROBUST_PASSES = 6, 30
-SMALLEST = 1e-4  # rad; a smaller residual weighs no more
-FLOOR = np.radians(0.05)  # of the robust scale
+SMALLEST = 1e-4  # rad; smaller residuals do not increase the weight
+FLOOR = np.radians(0.05)  # iterations of the robust scale
 SETTLED = 1e-9  # rad
-REJECTED_ANGLE, REJECTED_SCALES = np.radians(3.0), 6.0  # a pair that is off by more than both takes no part
-RIDGE = 1e-9  # of the Laplacian, for long chains
-SECOND = 1.5  # cost of a second orientation over that of the best: below, it may be the right one
+REJECTED_ANGLE, REJECTED_SCALES = np.radians(3.0), 6.0  # a pair with a larger misfit than both limits is not used
+RIDGE = 1e-9  # regularisation of the Laplacian, for long chains
+SECOND = 1.5  # ratio of the costs of the second and the best orientation: below this the second may be correct
 
 
 class Attitudes(NamedTuple):
-    """Attitudes camera_from_block; images of different parts have nothing to do with each other.
+    """Attitudes camera_from_block; the systems of different parts are independent.
 
-    `part`: number of the part of each image. `residual`: of each pair in rad; `used`: pairs that agree; `second`: pairs
+    `part`: index of the part of each image. `residual`: of each pair in rad; `used`: pairs that agree; `second`: pairs
     whose second orientation is used.
     """
 
@@ -44,7 +44,7 @@ class Attitudes(NamedTuple):
 
 
 def averaged(pairs: BlockPairs, images: int) -> Attitudes:
-    """The attitudes of all images in their parts; `pairs`: accepted ones."""
+    """Computes the attitudes of all images in their parts; `pairs`: accepted ones."""
     if not len(pairs.pairs):
         none = np.zeros(0, bool)
         return Attitudes(np.tile(np.eye(3), (images, 1, 1)), np.arange(images), np.zeros(0), none, none)
@@ -76,7 +76,7 @@ def _graph(
 
 
 def _tree(pairs: BlockPairs, images: int) -> Float[np.ndarray, "image 3 3"]:
-    """Attitudes along a spanning tree of the pairs with most rays that fit, in each part from its first image."""
+    """Attitudes along a spanning tree of the pairs with the most fitting rays, in each part from its first image."""
     graph = _graph(pairs.pairs, 1 / (1.0 + pairs.fits), images)
     tree = minimum_spanning_tree(graph)
     tree = (tree + tree.T).tocsr()
@@ -100,7 +100,7 @@ def _tree(pairs: BlockPairs, images: int) -> Float[np.ndarray, "image 3 3"]:
 def _errors(
     attitudes: Float[np.ndarray, "image 3 3"], pairs: BlockPairs
 ) -> tuple[Float[np.ndarray, "pair 3"], Bool[np.ndarray, " pair"]]:
-    """e of the nearer orientation of each pair, and whether it is the second one."""
+    """Misfit e of the nearer orientation of each pair, and whether it is the second one."""
     i, j = pairs.pairs.T
     errors = np.stack(
         [
@@ -123,7 +123,7 @@ def _solved(
     rows, columns = np.concatenate([i, j, i, j]), np.concatenate([i, j, j, i])
     values = np.concatenate([weight, weight, -weight, -weight])
     laplacian = scipy.sparse.csc_matrix((values, (rows, columns)), (images, images))
-    # every part has a shift of its own: the ridge holds it where it is
+    # the rotation of each part is undetermined: the regularisation fixes it
     laplacian = laplacian + (RIDGE * weight.mean()) * scipy.sparse.identity(images, format="csc")
     right = np.zeros((images, 3))
     np.add.at(right, i, -weight[:, None] * error)

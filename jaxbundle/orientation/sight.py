@@ -1,10 +1,10 @@
-"""The rays of a block as straight lines: how far each passes by its point, as an angle, at given orientations.
+"""The rays of a block as directions, and their angles to the points at given orientations.
 
-A measured point is the photo vector (a, b, -1) of its camera model, interior elements as given. With the photo vector
-p = R^T (X - X0) of the object point, the ray is off by the angle between the two: 0 where they agree, above 90 degrees
-where the point lies behind the camera.
+A measured point is the photo vector (a, b, -1) of its camera model, with the given interior elements. The misfit of a
+ray is the angle between this vector and the photo vector p = R^T (X - X0) of the object point: 0 if they agree, above
+90 degrees if the point is behind the camera.
 
-Everything is numpy: approximate values are judged before anything is compiled for the adjustment.
+The module uses only numpy: approximate values are checked before anything is compiled for the adjustment.
 """
 
 from typing import NamedTuple
@@ -23,16 +23,16 @@ from jaxbundle.numerics.host import on_device
 from jaxbundle.numerics.shapes import grid_size
 from jaxbundle.orientation.intersection import closest_to_rays
 
-LEAST_FIELD = 1e-6  # rad; an image whose rays are one direction has no field to compare with
+MIN_FIELD = 1e-6  # rad; an image whose rays have one direction has no image field
 HALF = np.pi / 2
 
 
 class Sight(NamedTuple):
-    """Rays as directions, and the approximate values they are held against.
+    """Rays as directions, and the approximate values for the comparison.
 
     `plane`: a and b of the photo vectors (a, b, -1). `rotation`: object_from_image. `known`: coordinates of control
-    points as observed or held, NaN where there are none. `field`: for each image the median angle between the rays of
-    its camera and their middle, in radians.
+    points, observed or fixed, NaN if there are none. `field`: image field, for each image the median angle between
+    the rays of its camera and their mean, in radians.
     """
 
     image: Int[np.ndarray, " ray"]
@@ -46,17 +46,17 @@ class Sight(NamedTuple):
 
     @property
     def is_known(self) -> Bool[np.ndarray, " point"]:
-        """Points all of whose coordinates are observed or held."""
+        """Mask of the points with three observed or fixed coordinates."""
         return np.asarray(np.isfinite(self.known).all(1))
 
     @property
     def is_believed(self) -> Bool[np.ndarray, " point"]:
-        """Points all of whose coordinates are known or approximately known."""
+        """Mask of the points with three known or approximate coordinates."""
         return np.asarray(np.isfinite(self.believed).all(1))
 
     @property
     def believed(self) -> Float[np.ndarray, "point 3"]:
-        """Control coordinates where there are any, else the approximate ones."""
+        """Control coordinates if known, otherwise the approximate ones."""
         return np.where(np.isfinite(self.known), self.known, self.points)
 
 
@@ -72,13 +72,13 @@ def sight_of(block: Block) -> Sight:
 
 
 def _plane(block: Block, measured: Float[np.ndarray, "ray 2"]) -> Float[np.ndarray, "ray 2"]:
-    """a and b of the photo vectors of points measured where the rays of a block are."""
+    """Components a and b of the photo vectors of the measured points."""
     structure, rays = block.structure, len(measured)
     size = grid_size(rays)
     coordinates, camera = np.zeros((2, size)), np.zeros(size, np.int32)
     coordinates[:, :rays] = measured.T
     camera[:rays] = structure.image_camera[structure.ray_image]
-    if rays:  # padded by rays of the block: of another point the correction of a distortion might not converge
+    if rays:  # padded with rays of the block: for other points the correction of a distortion might not converge
         coordinates[:, rays:], camera[rays:] = coordinates[:, :1], camera[0]
     interior = unknowns_of(block).interior
     plane = _planes(structure.model, interior, on_device(camera), on_device(coordinates), optimised=False)
@@ -104,7 +104,7 @@ def _planes(
 
 
 def _known(block: Block) -> Float[np.ndarray, "point 3"]:
-    """Coordinates that are held or observed."""
+    """Fixed or observed coordinates."""
     known = np.where(block.structure.point_free, np.nan, np.asarray(block.object_points))
     for group in block.groups:
         if group.structure.kind == CONTROL:
@@ -120,18 +120,18 @@ def _fields(
     order = np.argsort(camera, kind="stable")
     bounds = np.flatnonzero(np.diff(camera[order])) + 1
     for rays in np.split(order, bounds) if len(order) else ():
-        # the middle of an image lies near the axis: of few rays the axis is the better middle
+        # the centre of an image is near the axis: for few rays the axis is the better mean
         field[camera[rays[0]]] = np.median(np.arctan(np.hypot(*plane[rays].T)))
-    return np.maximum(np.nan_to_num(field, nan=1.0), LEAST_FIELD)[image_camera]
+    return np.maximum(np.nan_to_num(field, nan=1.0), MIN_FIELD)[image_camera]
 
 
 def photo_vectors(sight: Sight, points: Float[np.ndarray, "point 3"]) -> Float[np.ndarray, "ray 3"]:
-    """p = R^T (X - X0) of every ray."""
+    """Photo vectors p = R^T (X - X0) of all rays."""
     return np.einsum("rij,ri->rj", sight.rotation[sight.image], points[sight.point] - sight.centre[sight.image])
 
 
 def off(sight: Sight, points: Float[np.ndarray, "point 3"]) -> Float[np.ndarray, " ray"]:
-    """Angles between the rays and their points, in radians; NaN where a point is a projection centre."""
+    """Angles between the rays and their points, in radians; NaN if a point is at a projection centre."""
     return angle_off(sight.plane, photo_vectors(sight, points))
 
 
@@ -146,19 +146,19 @@ def angle_off(plane: Float[np.ndarray, "... 2"], vector: Float[np.ndarray, "... 
 
 
 def relative_off(sight: Sight, points: Float[np.ndarray, "point 3"]) -> Float[np.ndarray, " ray"]:
-    """Angles off the rays in fields of the camera: 1 is half of the image; infinite where there is no angle."""
+    """Angles between rays and points in image fields: 1 is half of the image; infinite if undefined."""
     return np.nan_to_num(off(sight, points) / sight.field[sight.image], nan=np.inf)
 
 
 class Intersected(NamedTuple):
-    """Points from their rays alone; NaN where the rays are parallel or fewer than two. `in_front`: of all cameras."""
+    """Points only from their rays; NaN for parallel rays or fewer than two. `in_front`: in front of all cameras."""
 
     points: Float[np.ndarray, "point 3"]
     in_front: Bool[np.ndarray, " point"]
 
 
 def intersected(sight: Sight, images: Bool[np.ndarray, " image"] | None = None) -> Intersected:
-    """Every point from its rays, on chosen images."""
+    """Intersects all points from their rays on chosen images."""
     used = np.ones(len(sight.image), bool) if images is None else images[sight.image]
     image, point = sight.image[used], sight.point[used]
     along = np.c_[sight.plane[used], -np.ones(len(image))]
@@ -181,18 +181,18 @@ def mostly_beyond(
     of: Int[np.ndarray, " ray"],
     count: int,
 ) -> Bool[np.ndarray, " entity"]:
-    """Images or points the (lower) median of whose rays exceeds a limit: without sorting."""
+    """Mask of images or points whose (lower) median over the rays exceeds a limit, without sorting."""
     beyond = ~(values <= (limits[of] if isinstance(limits, np.ndarray) else limits))
     return 2 * np.bincount(of, beyond, count) > np.bincount(of, minlength=count)
 
 
 def only(sight: Sight, rays: Bool[np.ndarray, " ray"]) -> Sight:
-    """Some of the rays."""
+    """The selected rays."""
     return sight._replace(image=sight.image[rays], point=sight.point[rays], plane=sight.plane[rays])
 
 
 def medians(values: Float[np.ndarray, " ray"], of: Int[np.ndarray, " ray"], count: int) -> Float[np.ndarray, " entity"]:
-    """Median (the lower one of two) of the rays of each image or point; NaN where there is none."""
+    """Median (the lower one of two) over the rays of each image or point; NaN without rays."""
     order = np.lexsort((values, of))
     number = np.bincount(of, minlength=count)
     first = np.cumsum(number) - number

@@ -1,7 +1,7 @@
-"""Least squares with six unknowns, written out: scalars in, scalars out.
+"""Least squares with six unknowns in explicit form, with scalars as input and output.
 
-A scalar may be an array of any shape: what is computed for one image is computed for thousands in the same few
-operations on long arrays, where batched calls of a linear algebra library would take each 6 x 6 matrix by itself.
+A scalar may be an array of any shape: thousands of images need the same few operations on long arrays, while
+batched calls of a linear algebra library would process each 6 x 6 matrix separately.
 Symmetric matrices are lists of their lower rows: (0, 0), (1, 0), (1, 1), (2, 0) ...
 """
 
@@ -13,12 +13,12 @@ UNKNOWNS = 6
 
 
 def place(row: int, column: int) -> int:
-    """Where an element of the lower triangle stands."""
+    """Index of an element of the lower triangle."""
     return row * (row + 1) // 2 + column
 
 
 def cholesky(matrix: list[Scalar]) -> list[Scalar]:
-    """L of A = L L^T, with the inverse pivots on its diagonal; not finite where A is not positive definite."""
+    """The factor L of A = L L^T, with the inverse pivots on its diagonal; not finite if A is not positive definite."""
     factor: list[Scalar] = []
     for i in range(UNKNOWNS):
         for j in range(i + 1):

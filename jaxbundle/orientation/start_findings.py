@@ -1,4 +1,4 @@
-"""What a start from nothing found about the block, as findings."""
+"""Findings of a start without approximate values about the block."""
 
 from collections.abc import Sequence
 from typing import NamedTuple
@@ -28,7 +28,7 @@ class Doubts(NamedTuple):
 def start_findings(
     block: Block, parts: Sequence[OrientedPart], loose: Sequence[str], doubts: Doubts
 ) -> tuple[Finding, ...]:
-    """Findings in the order of a report."""
+    """All findings in the order of a report."""
     found = [
         *_loose(loose),
         *_parts(parts),
@@ -49,7 +49,7 @@ def _loose(names: Sequence[str]) -> list[Finding]:
     if not names:
         return []
     what = f"{counted(len(names), 'image')} could not be oriented: {named(names)}"
-    cure = "measure more points that other oriented images show too, at least 8, or give approximate values"
+    cure = "measure more points, at least 8, that are also on other oriented images, or give approximate values"
     return [Finding(Kind.LOOSE, what, cure, _images(names), float(len(names)))]
 
 
@@ -57,8 +57,8 @@ def _parts(parts: Sequence[OrientedPart]) -> list[Finding]:
     if len(parts) < 2:
         return []
     listing = "; ".join(f"{counted(len(part.images), 'image')} ({named(part.images)})" for part in parts)
-    what = f"the images hang together in {len(parts)} parts, each with a system of its own: {listing}"
-    cure = "measure points that connect the parts, or control for each of them"
+    what = f"the images form {len(parts)} separate parts, each with its own system: {listing}"
+    cure = "measure points that connect the parts, or add control to each of them"
     return [Finding(Kind.PARTS, what, cure, _images(parts[1].images), float(len(parts)))]
 
 
@@ -66,7 +66,7 @@ def _assumption(parts: Sequence[OrientedPart]) -> list[Finding]:
     if not parts or parts[0].basis is not Basis.LINE:
         return []
     what = "control and stations lie on a line; the start assumes that the mean view is vertical"
-    return [Finding(Kind.ASSUMED, what, "measure a control point beside the line")]
+    return [Finding(Kind.ASSUMED, what, "measure a control point off the line")]
 
 
 def _scale(block: Block, doubted: Bool[np.ndarray, " image"]) -> list[Finding]:
@@ -86,8 +86,8 @@ def _refused(block: Block, refused: Bool[np.ndarray, " point"]) -> list[Finding]
     if not names:
         return []
     what = f"{counted(len(names), 'control point')} {are(len(names))} not near {'its' if len(names) == 1 else 'their'}"
-    what += f" place in the block: {named(names)}"
-    cure = "check names and coordinates; the start leaves them out, the adjustment takes them"
+    what += f" position in the block: {named(names)}"
+    cure = "check names and coordinates; the start does not use them, the adjustment does"
     return [Finding(Kind.SUSPECT, what, cure, _subjects(names))]
 
 
@@ -103,7 +103,7 @@ def _suspects(block: Block, suspects: Bool[np.ndarray, " ray"]) -> list[Finding]
     names = [(s.image_names[s.ray_image[k]], s.point_names[s.ray_point[k]]) for k in rays]
     listing = named([f"point {point} on image {image}" for image, point in names])
     what = f"{counted(len(names), 'ray')} {'does' if len(names) == 1 else 'do'} not agree with the others: {listing}"
-    cure = "measure again, or adjust with robust weights; the start leaves them out, the adjustment takes them"
+    cure = "re-measure them, or adjust with robust weights; the start does not use them, the adjustment does"
     subjects = tuple(Subject("rays", pair) for pair in names)
     return [Finding(Kind.SUSPECT, what, cure, subjects, float(len(names)), "rays")]
 
@@ -119,8 +119,10 @@ def _behind(block: Block, behind: Bool[np.ndarray, " point"]) -> list[Finding]:
 
 
 def found_orientations(found: Approximation) -> tuple[Finding, ...]:
-    """What was done: the way and the figures of its steps."""
+    """The finding about the method and the numbers of its steps."""
     steps = "; ".join(step.words for step in found.steps)
     number = sum(len(part.images) for part in found.parts)
-    what = f"the start was found from the rays, with {counted(number, 'image')} oriented ({found.way.value}): {steps}"
+    what = (
+        f"the start was computed from the rays, with {counted(number, 'image')} oriented ({found.way.value}): {steps}"
+    )
     return (Finding(Kind.APPROXIMATED, what, "", (), float(number)),)

@@ -1,4 +1,4 @@
-"""The orientation of one image from three points: all solutions, and how far they can be trusted."""
+"""The orientation of one image from three points: all solutions and their reliability."""
 
 import equinox as eqx
 import jax
@@ -7,37 +7,37 @@ import numpy as np
 from jaxtyping import Array, ArrayLike, Bool, Float
 
 from jaxbundle.geometry.vectors import Vector
-from jaxbundle.numerics.float64 import require_float64
+from jaxbundle.numerics.program_cache import prepare_jax
 from jaxbundle.orientation.three_points import Triple, three_point_solutions
 
-ON_A_LINE = 1e-3  # area of the triangle over the square of its longest side
-ON_CYLINDER = 1e-2  # determinant: below, an error of a direction is enlarged more than 100 times
+ON_A_LINE = 1e-3  # ratio of the area of the triangle and the square of its longest side
+ON_CYLINDER = 1e-2  # determinant: below this an error of a direction is enlarged more than 100 times
 
 
 class ThreePointResection(eqx.Module):
-    """Up to four solutions, the solutions first; NaN where there is none."""
+    """Up to four solutions, in the first axis; NaN for missing ones."""
 
     rotation: Float[Array, "*image 4 3 3"]
     """Rotation matrices object_from_image."""
     projection_centre: Float[Array, "*image 4 3"]
-    """Unit of the object points."""
+    """Projection centres in the unit of the object points."""
     distances: Float[Array, "*image 4 3"]
-    """From the projection centre to each of the points."""
+    """Distances from the projection centre to each of the points."""
     determinant: Float[Array, "*image 4"]
-    """Volume between -1 and 1 that the rows of the linearised law of cosines span; 0 on the danger cylinder."""
+    """Volume between -1 and 1 spanned by the rows of the linearised law of cosines; 0 on the danger cylinder."""
     exact: Bool[Array, "*image 4"]
-    """Whether it is a solution. Other numbers are real parts of a complex pair, near the danger cylinder."""
+    """Whether it is a solution; otherwise the real part of a complex pair, near the danger cylinder."""
     flatness: Float[Array, "*image"]
-    """Area of the triangle over the square of its longest side; 0 for points on a line."""
+    """Ratio of the area of the triangle and the square of its longest side; 0 for points on a line."""
 
     @property
     def count(self) -> Array:
-        """Number of solutions."""
+        """Number of exact solutions."""
         return self.exact.sum(-1)
 
     @property
     def words(self) -> str:
-        """What is wrong with the solutions of one image (concrete results only), and the cure; empty if nothing is."""
+        """Problem and cure of the solutions of one image (concrete results only); empty if there is none."""
         if self.flatness < ON_A_LINE:
             return "the three points lie on a line and do not determine the image; choose points of a larger triangle"
         weak = np.abs(self.determinant) < ON_CYLINDER
@@ -46,19 +46,19 @@ class ThreePointResection(eqx.Module):
                 "the projection centre lies near the danger cylinder through the three points, where two solutions"
                 " coincide and are not accurate; choose other points"
             )
-        return "" if self.exact.any() else "no projection centre sees the three points like this; check their names"
+        return "" if self.exact.any() else "no projection centre fits these three points; check their names"
 
 
 def three_point_resection(
     object_points: Float[ArrayLike, "3 3"], directions: Float[ArrayLike, "3 3"]
 ) -> ThreePointResection:
-    """All orientations of an image that sees three points in given directions.
+    """Computes all orientations of an image with three points in given directions.
 
     Args:
         object_points: X, Y, Z of the points, one row per point.
-        directions: rays in the system of the photograph, one row per point, such as (x, y, -c); of any length.
+        directions: rays in the system of the photograph, one row per point, such as (x, y, -c); any length.
 
-    Returns: up to four solutions. jit and vmap go through it.
+    Returns: up to four solutions. It works with jit and vmap.
 
     Raises: ValueError for other shapes, or without float64.
 
@@ -68,7 +68,7 @@ def three_point_resection(
         >>> found = jb.orientation.three_point_resection(points, [[-30, -40, -200], [70, -40, -200], [-30, 60, -195]])
         >>> found.projection_centre[found.exact]
     """
-    require_float64()
+    prepare_jax()
     if np.shape(object_points) != (3, 3) or np.shape(directions) != (3, 3):
         raise ValueError(
             f"object points of shape {np.shape(object_points)} and directions of shape {np.shape(directions)}; give"

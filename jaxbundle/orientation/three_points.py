@@ -7,8 +7,8 @@ gamma between the rays, the law of cosines
     s1^2 + s3^2 - 2 s1 s3 cos beta  = b^2
     s1^2 + s2^2 - 2 s1 s2 cos gamma = c^2
 
-leaves an equation of fourth degree in v = s3 / s1 (Haralick, Lee, Ottenberg, Noelle 1994, eq. 9), thus up to four
-solutions. Two solutions may have v in common and differ in u = s2 / s1 only, so both u of each v are candidates. Newton
+gives an equation of fourth degree in v = s3 / s1 (Haralick, Lee, Ottenberg, Noelle 1994, eq. 9), thus up to four
+solutions. Two solutions may have equal v and differ only in u = s2 / s1, so both u of each v are candidates. Newton
 steps on the three equations decide which of the eight candidates are solutions.
 
 Half of the derivative of the equations with respect to the distances,
@@ -17,8 +17,8 @@ Half of the derivative of the equations with respect to the distances,
     J = [ s1 - s3 cos beta   0                s3 - s1 cos beta  ]
         [ s1 - s2 cos gamma  s2 - s1 cos gamma   0              ]
 
-is singular where two solutions coincide: the projection centre lies on the danger cylinder, which stands on the
-circumscribed circle of the three points. All quantities are scalars, which may be arrays of any one shape.
+is singular if two solutions coincide: the projection centre lies on the danger cylinder through the circumscribed
+circle of the three points. All quantities are scalars, which may be arrays of one shape.
 """
 
 from typing import Any, NamedTuple
@@ -38,17 +38,18 @@ from jaxbundle.numerics.stored import stored
 from jaxbundle.orientation.one_image import Measured, Orientation
 
 Triple = tuple[Vector, Vector, Vector]
-NEWTON_STEPS = 5  # a candidate from the closed form has 8 digits or is none; at a double root a step halves the error
-SOLVED = 1e-9  # of the squares of the sides: misfit of the law of cosines
-SAME = 1e-7  # of the distances: solutions that differ by less are one
+# a candidate from the closed form has 8 digits or is not a solution; at a double root a step halves the error
+NEWTON_STEPS = 5
+SOLVED = 1e-9  # share of the squares of the sides: misfit of the law of cosines
+SAME = 1e-7  # share of the distances: solutions that differ by less are equal
 
 
 class ThreePointSolutions(NamedTuple):
-    """Four in a new leading axis, the solutions first; NaN where there is none.
+    """Four candidates in a new leading axis, solutions first; NaN for missing ones.
 
     `distances`: from the projection centre to the points. `determinant`: of J, its rows scaled to unit length, 0 on the
-    danger cylinder. `exact`: whether the law of cosines is satisfied. Where it is not, the values are those of the real
-    part of a complex root: with errors of measurement two equal roots become a complex pair.
+    danger cylinder. `exact`: whether the law of cosines is satisfied. If not, the values belong to the real part of a
+    complex root: random errors can make a complex pair of two equal roots.
     """
 
     rotation: Rotation
@@ -59,9 +60,9 @@ class ThreePointSolutions(NamedTuple):
 
 
 def direct_orientation(model: CameraModel, m: Measured) -> Orientation:
-    """The orientation of an image from the three points that span the largest angles.
+    """Computes the orientation of an image from the three points that span the largest angles.
 
-    Of the solutions that which is the best for all points: the least sum of 1 - cos of the angles off the rays.
+    The solution with the minimum sum of 1 - cos of the angles over all points is selected.
     """
     interior = tuple(jnp.broadcast_to(element, m.coordinates[0].shape) for element in m.interior)
     used, zero = m.weights[0] > 0, m.zero
@@ -82,7 +83,9 @@ def direct_orientation(model: CameraModel, m: Measured) -> Orientation:
     points, directions = stored((points, directions), zero)
     solutions = three_point_solutions(points, directions, zero)
     rotations, centres = stored((solutions.rotation, solutions.centre), zero)
-    x, y, z, along_x, along_y, along_z = (e[:, None] for e in (*m.points, *d))  # against the axis of the solutions
+    x, y, z, along_x, along_y, along_z = (
+        e[:, None] for e in (*m.points, *d)
+    )  # broadcast over the axis of the solutions
     vector = photo_vector(rotations, centres, (x, y, z))
     cosine = dot(vector, (along_x, along_y, along_z)) / jnp.sqrt(squared(vector))
     misfit = jnp.sum(jnp.where(used[:, None], 1 - cosine, 0.0), 0)
@@ -119,7 +122,7 @@ def three_point_solutions(points: Triple, directions: Triple, zero: Int[Array, "
 
 
 def _candidates(sides: Vector, cosines: Vector, zero: Int[Array, ""]) -> tuple[Vector, Bool[Array, "8 ..."]]:
-    """Distances from both u of each v, and whether it is the one whose real part is used where there is no solution."""
+    """Distances from both u of each v, and whether it is the one whose real part is used without a solution."""
     (aa, bb, cc), (alpha, beta, gamma) = sides, cosines
     v = stored(quartic_roots(stored(_grunert(aa / bb, cc / bb, alpha, beta, gamma), zero), zero), zero)
     s1_squared = bb / (1 + v * v - 2 * v * beta)
@@ -135,7 +138,7 @@ def _candidates(sides: Vector, cosines: Vector, zero: Int[Array, ""]) -> tuple[V
 
 
 def _law_of_cosines(s: Vector, sides: Vector, cosines: Vector) -> Vector:
-    """What is left of the three equations."""
+    """Misfits of the three equations."""
     (s1, s2, s3), (alpha, beta, gamma) = s, cosines
     return (
         s2 * s2 + s3 * s3 - 2 * s2 * s3 * alpha - sides[0],
@@ -156,9 +159,9 @@ def _derivative(s: Vector, cosines: Vector) -> Triple:
 
 
 def _newton_step(s: Vector, sides: Vector, cosines: Vector) -> Vector:
-    """What is to be subtracted from the distances: (2 J)^-1 times the misfits."""
+    """Corrections to subtract from the distances: (2 J)^-1 times the misfits."""
     one, two, three = _derivative(s, cosines)
-    columns = cross(two, three), cross(three, one), cross(one, two)  # of the inverse, times the determinant
+    columns = cross(two, three), cross(three, one), cross(one, two)  # elements of the inverse times the determinant
     determinant = dot(one, columns[0])
     misfits = _law_of_cosines(s, sides, cosines)
     scale = 0.5 / jnp.where(determinant == 0, jnp.inf, determinant)
@@ -167,7 +170,7 @@ def _newton_step(s: Vector, sides: Vector, cosines: Vector) -> Vector:
 
 
 def _without_repeats(s: Vector, valid: Bool[Array, "8 ..."]) -> Bool[Array, "8 ..."]:
-    """Of solutions that agree only the first one counts."""
+    """Removes repeated solutions."""
     kept, distances = [valid[0]], jnp.stack(s)
     for i in range(1, 8):
         difference = jnp.sum(jnp.abs(distances[:, i, None] - distances[:, :i]), 0)

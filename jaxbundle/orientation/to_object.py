@@ -1,10 +1,10 @@
-"""A part of a block brought into the object system by its anchors, some of which may be wrong.
+"""Transforming a part of a block to the object system by its anchors, which may have gross errors.
 
-Three anchors with all coordinates and not on a line give the similarity in closed form; of all triples that is taken
-which most anchors agree with. A part is bent by more than its sigmas say, so the tolerance grows with its extent. With
-less the ways are, in this order: attitudes that are given, with a scale and a shift; plan and height control; anchors
-on a line with the assumption that the mean view is vertical; and, with nothing, a system of its own: the mean base 1,
-the mean view downwards or the centres in a horizontal plane. A part is never mirrored.
+Three anchors with all coordinates that are not on a line determine the similarity in closed form; the triple that
+agrees with the most anchors is selected. The deformations of a part exceed its sigmas, so the tolerance is proportional
+to its extent. With fewer anchors the methods are, in this order: given attitudes, with a scale and a shift; plan and
+height control; anchors on a line with the assumption that the mean view is vertical; and, without anchors, a separate
+system with mean base 1 and the mean view downwards or the centres in a horizontal plane. A part is never mirrored.
 """
 
 from enum import Enum
@@ -17,30 +17,30 @@ from jaxtyping import Bool, Float
 from jaxbundle.orientation.absolute_orientations import absolute_orientation
 from jaxbundle.orientation.anchors import Anchors
 
-BENT = 0.005  # of the extent: standard deviation of a place in a part before the adjustment
-WILD = 0.1  # of the extent: a median misfit beyond this is no agreement
-ON_A_LINE = 1e-3  # second over first singular value of the anchors that are used
-FLAT = 0.02  # the same of plan and height control, which needs more
-ALL_TRIPLES = 20  # anchors, of which all triples are tried
+BENT = 0.005  # share of the extent: standard deviation of a position in a part before the adjustment
+WILD = 0.1  # share of the extent: with a larger median misfit there is no agreement
+ON_A_LINE = 1e-3  # ratio of second and first singular value of the used anchors
+FLAT = 0.02  # the same for plan and height control, which requires more
+ALL_TRIPLES = 20  # maximum number of anchors for a test of all triples
 TRIPLES = 1000
-ALIKE = np.cos(np.radians(40.0))  # views that agree
+ALIKE = np.cos(np.radians(40.0))  # cosine: views that agree
 PASSES = 10
 
 
 class Basis(Enum):
-    """By what a part came into its system."""
+    """The method of the transformation of a part to its system."""
 
     ANCHORS = "control and stations"
-    ATTITUDES = "attitudes and positions that are given"
+    ATTITUDES = "given attitudes and positions"
     PLAN_HEIGHT = "plan and height control"
     LINE = "anchors on a line and the assumption that the mean view is vertical"
-    JOINED = "points in common with the largest part"
-    GIVEN = "orientations and control that are given"
-    OWN = "a system of its own"
+    JOINED = "common points with the largest part"
+    GIVEN = "given orientations and control"
+    OWN = "a separate system"
 
 
 class Placed(NamedTuple):
-    """X = scale R x + shift, by what, and the misfits of the anchors; `used`: which anchors agree."""
+    """The similarity X = scale R x + shift, its method, and misfits of the anchors; `used`: agreeing anchors."""
 
     scale: float
     rotation: Float[np.ndarray, "3 3"]
@@ -50,12 +50,12 @@ class Placed(NamedTuple):
     used: Bool[np.ndarray, " anchor"]
 
     def __call__(self, points: Float[np.ndarray, "point 3"]) -> Float[np.ndarray, "point 3"]:
-        """Places in the object system."""
+        """Transforms positions to the object system."""
         return self.scale * points @ self.rotation.T + self.shift
 
 
 class Views(NamedTuple):
-    """Images of a part: centres, viewing directions, rotations part_from_image and attitudes that are given."""
+    """Images of a part: centres, viewing directions, rotations part_from_image and given attitudes."""
 
     centre: Float[np.ndarray, "image 3"]
     rotation: Float[np.ndarray, "image 3 3"]
@@ -70,8 +70,7 @@ class Views(NamedTuple):
 def closed_form(
     x: Float[np.ndarray, "... point 3"], o: Float[np.ndarray, "... point 3"], w: Float[np.ndarray, "... point"]
 ) -> tuple[np.ndarray, np.ndarray, np.ndarray, np.ndarray]:
-    """Scale, rotation and shift of weighted points, and singular values (`geometry.similarity`; here of many at once,
-    on the host)."""
+    """Scale, rotation and shift of weighted points, and singular values, for many sets at once on the host."""
     w = w / w.sum(-1, keepdims=True)
     cx, co = (w[..., None] * x).sum(-2, keepdims=True), (w[..., None] * o).sum(-2, keepdims=True)
     u, d, vt = np.linalg.svd(np.swapaxes(o - co, -1, -2) @ (w[..., None] * (x - cx)))
@@ -84,7 +83,7 @@ def closed_form(
 
 
 def placed(anchors: Anchors, views: Views) -> Placed:
-    """The part in the object system, or in one of its own."""
+    """Transforms the part to the object system, or to a separate one."""
     full = anchors.full
     if full.sum() >= 3:
         found = _by_triples(anchors)
@@ -98,7 +97,7 @@ def placed(anchors: Anchors, views: Views) -> Placed:
 
 
 def _judged(anchors: Anchors, at: tuple, basis: Basis) -> Placed:
-    """With the misfits of the coordinates that are known."""
+    """Adds the misfits of the known coordinates."""
     scale, rotation, shift = at[:3]
     v = scale * anchors.model @ rotation.T + shift - anchors.object_points
     misfits = np.sqrt(np.nansum(v**2, 1))
@@ -194,7 +193,7 @@ def _by_line(anchors: Anchors, views: Views) -> Placed | None:
 
 
 def _frame(first: Float[np.ndarray, "3"], near: Float[np.ndarray, "3"]) -> Float[np.ndarray, "3 3"]:
-    """Columns: a direction, the one across it that is nearest to another one, and the third."""
+    """Orthonormal columns: a direction, the orthogonal direction nearest to another one, and the third."""
     first = first / np.linalg.norm(first)
     second = near - (near @ first) * first
     second /= np.linalg.norm(second)
@@ -202,7 +201,7 @@ def _frame(first: Float[np.ndarray, "3"], near: Float[np.ndarray, "3"]) -> Float
 
 
 def own_system(anchors: Anchors, views: Views) -> Placed:
-    """A system of the part's own, with unit mean distance of each centre from the nearest other one."""
+    """A separate system of the part, with unit mean distance of each centre from the nearest other one."""
     centre, mean = views.centre, views.direction.mean(0)
     distance = np.linalg.norm(centre[:, None] - centre[None], axis=2) if len(centre) <= 2000 else np.zeros((0, 0))
     distance[distance <= 1e-9 * max(distance.max(initial=0.0), 1e-300)] = np.nan

@@ -4,8 +4,9 @@ X2 = R X1 + t. An essential matrix E = [t]x R has two rotations and a base of un
 
     t t^T = tr(E E^T) / 2 I - E E^T,        t^2 R = cof E - [t]x E
 
-A homography H = R + t n^T of a plane with normal n, its second singular value 1, has two solutions and their opposites
-(Ma, Soatto, Kosecka, Sastry 2004, sec. 5.3.3). With v_k the right singular vectors and S_k the squared singular values:
+A homography H = R + t n^T of a plane with normal n, scaled to a second singular value of 1, has two solutions and their
+opposites (Ma, Soatto, Kosecka, Sastry 2004, sec. 5.3.3). With v_k the right singular vectors and S_k the squared
+singular values:
 
     u+- = (sqrt(1 - S3) v1 +- sqrt(S1 - 1) v3) / sqrt(S1 - S3)
     U = [v2, u, v2 x u],  W = [H v2, H u, H v2 x H u],  R = W U^T,  n = v2 x u,  t = (H - R) n
@@ -16,7 +17,7 @@ from jaxtyping import Array, Bool, Float
 
 from jaxbundle.geometry.polynomial import all_roots
 
-SMALL = 1e-30  # in place of a squared base that is 0
+SMALL = 1e-30  # instead of a squared base of 0
 REAL = 1e-8  # imaginary part over 1 + |x| of a real root: rounding
 
 
@@ -27,7 +28,7 @@ def cross_matrix(t: Float[Array, "3"]) -> Float[Array, "3 3"]:
 
 
 def cofactor_matrix(m: Float[Array, "3 3"]) -> Float[Array, "3 3"]:
-    """The determinant times the transposed inverse."""
+    """The cofactor matrix: the determinant times the transposed inverse."""
     return jnp.stack([jnp.cross(m[1], m[2]), jnp.cross(m[2], m[0]), jnp.cross(m[0], m[1])])
 
 
@@ -43,8 +44,8 @@ def motions_from_essential(e: Float[Array, "3 3"]) -> tuple[Float[Array, "4 3 3"
 
 
 def homography(first: Float[Array, "4 3"], second: Float[Array, "4 3"]) -> Float[Array, "3 3"]:
-    """The matrix with second ~ H first for four pairs of rays; not finite where three of them lie in a plane."""
-    a, b = cofactor_matrix(first[:3]), cofactor_matrix(second[:3])  # of rows: inverse of the columns but for a factor
+    """The matrix with second ~ H first for four pairs of rays; not finite if three of them are in a plane."""
+    a, b = cofactor_matrix(first[:3]), cofactor_matrix(second[:3])  # rows: inverse of the columns up to a factor
     factors = (b @ second[3]) / (a @ first[3])
     return (second[:3].T * factors) @ a
 
@@ -74,9 +75,9 @@ def motions_from_homography(
 def distances(
     rotation: Float[Array, "3 3"], base: Float[Array, "3"], first: Float[Array, "ray 3"], second: Float[Array, "ray 3"]
 ) -> tuple[Float[Array, " ray"], Float[Array, " ray"], Float[Array, " ray"]]:
-    """Along both unit vectors to the points where rays pass each other, and squared sines of the angles between them.
+    """Distances along both unit vectors to the closest points of the rays, and squared sines of their angles.
 
-    X2 = R X1 + t. The distances are multiplied by the squared sine, which keeps their sign and divides by nothing.
+    X2 = R X1 + t. The distances are multiplied by the squared sine, which preserves their sign and avoids a division.
     """
     y = first @ rotation.T
     a, yt, dt = jnp.sum(y * second, 1), y @ base, second @ base
@@ -84,10 +85,10 @@ def distances(
 
 
 def eight_points(first: Float[Array, "point 2"], second: Float[Array, "point 2"]) -> Float[Array, "3 3"]:
-    """The essential matrix of eight or more pairs of image coordinates, of Frobenius norm sqrt 2 (Hartley 1997).
+    """The essential matrix of eight or more pairs of image coordinates, with Frobenius norm sqrt 2 (Hartley 1997).
 
-    (second, 1)^T E (first, 1) = 0 in units of the principal distance. The linear solution, in coordinates of mean 0 and
-    size sqrt 2, has its singular values replaced by a, a, 0. Points in a plane do not determine it.
+    (second, 1)^T E (first, 1) = 0 in units of the principal distance. In the linear solution, with coordinates of mean
+    0 and size sqrt 2, the singular values are replaced by a, a, 0. Points in a plane do not determine it.
     """
     one, two = _conditioned(first), _conditioned(second)
     rows = (two[0][:, :, None] * one[0][:, None, :]).reshape(-1, 9)
@@ -120,7 +121,7 @@ def seven_points(
 
 
 def _conditioned(xy: Float[Array, "point 2"]) -> tuple[Float[Array, "point 3"], Float[Array, "3 3"]]:
-    """Homogeneous coordinates about their mean, of size sqrt 2, and the matrix that makes them."""
+    """Homogeneous coordinates relative to their mean, with size sqrt 2, and the matrix of this reduction."""
     mean = xy.mean(0)
     scale = jnp.sqrt(2.0) / jnp.sqrt(jnp.mean(jnp.sum((xy - mean) ** 2, 1)))
     matrix = jnp.eye(3).at[0, 0].set(scale).at[1, 1].set(scale).at[:2, 2].set(-scale * mean)

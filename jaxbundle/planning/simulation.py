@@ -1,6 +1,6 @@
-"""Aerial strips and blocks with known truth: what an adjustment gives can be compared with what it should give.
+"""Simulating aerial strips and blocks with known truth, for comparison with results of an adjustment.
 
-Image coordinates are those at which the package's own image equation leaves no residual, plus normal errors.
+Image coordinates have zero residuals of the image equation, plus normal errors.
 """
 
 import math
@@ -12,7 +12,7 @@ from jaxtyping import Int
 
 from jaxbundle.block.block import Block
 from jaxbundle.block.problems import BlockError, Problem
-from jaxbundle.numerics.float64 import require_float64
+from jaxbundle.numerics.program_cache import prepare_jax
 from jaxbundle.planning.assembly import block_of, structure_of, with_approximations, with_errors, with_gross_errors
 from jaxbundle.planning.drawn_flight import Scene, near_pairs, scene_of, shown
 from jaxbundle.planning.exact import exact_coordinates
@@ -32,14 +32,17 @@ __all__ = ["SimulatedFlight", "Simulation", "exact_coordinates", "simulate", "si
 
 
 class Simulation(NamedTuple):
-    """`block`: observations and approximate values; `truth`: the same structure with true values and no errors."""
+    """A simulated block.
+
+    `block`: observations and approximate values; `truth`: same structure with true values and no errors.
+    """
 
     block: Block
     truth: Block
 
 
 class SimulatedFlight(NamedTuple):
-    """`block` and `truth` as those of a `Simulation`; `gross_errors`: the rays of the block that have one."""
+    """A simulated flight. `block` and `truth` as in a `Simulation`; `gross_errors`: rays with a gross error."""
 
     block: Block
     truth: Block
@@ -65,14 +68,14 @@ def simulate(
     noise: float = 1.0,
     seed: int = 0,
 ) -> Simulation:
-    """A block of `strips` strips of `images` images each, with known truth; object unit metres.
+    """Simulates a block of `strips` strips of `images` images each, with known truth; object unit metres.
 
     `flying_height` is above the mean ground, `relief` the range of heights. `tilt`: standard deviation of omega, phi
-    and kappa in degrees. `image_sigma`, unit of the rays, is 0.005 mm or 0.3 px unless given. `control_rows` have
-    strips + 1 points each; without rows and stations the first image and X0 of the last one of its strip hold the
-    datum, at their true values. `control_sigma` 0 fixes the control points. `station_sigma` adds observed projection
-    centres. `check_points` are tie points whose truth is in the block. `noise` scales all errors: with 0 the
-    observations are exact. `jaxbundle.planning.simulate_flight` has more to choose.
+    and kappa in degrees. `image_sigma`, in the unit of the rays, is by default 0.005 mm or 0.3 px. `control_rows` have
+    strips + 1 points each; without rows and stations the first image and X0 of the last one of its strip define
+    the datum, with their true values. `control_sigma` 0 fixes the control points. `station_sigma` adds observed
+    projection centres. `check_points` are tie points whose truth is in the block. `noise` scales all errors: with 0 the
+    observations are exact. `jaxbundle.planning.simulate_flight` has more options.
 
     Raises: ValueError for a flight whose images have no points in common.
     """
@@ -102,19 +105,19 @@ def simulate(
 
 
 def simulate_flight(plan: FlightPlan) -> SimulatedFlight:
-    """The block of a flight, with known truth.
+    """Simulates the block of a flight, with known truth.
 
     Args:
         plan: the flight; `schematic` makes one without random deviations.
 
     Returns: the block with errors and rough approximate values, the truth, and the rays with gross errors. Equal plans
-    give equal blocks: everything random comes from `plan.seed`.
+    give equal blocks: all random numbers depend on `plan.seed`.
 
-    Raises: BlockError, a ValueError, with everything that keeps the flight from being flown.
+    Raises: BlockError, a ValueError, with all problems of the plan.
 
     Example: `simulate_flight(FlightPlan(3, 10, gnss=Navigation((0.05, 0.05, 0.1), "strip"))).block`
     """
-    require_float64()
+    prepare_jax()
     problems = plan_problems(plan)
     if problems:
         raise BlockError([Problem(*problem.rsplit("; ", 1), table="flight") for problem in problems])
@@ -132,7 +135,7 @@ def simulate_flight(plan: FlightPlan) -> SimulatedFlight:
 
 
 def _require_listed(plan: FlightPlan, drawn: Scene, seen: Scene) -> None:
-    """Raises BlockError for control and check points of a list that no image shows."""
+    """Raises BlockError for control and check points of a list that are on no image."""
     listed = [place for control in plan.control if control.layout == "points" for place in control.points]
     listed += [] if isinstance(plan.check_points, int) else list(plan.check_points)
     if plan.ties.layout == "schematic" or not listed:
@@ -141,4 +144,4 @@ def _require_listed(plan: FlightPlan, drawn: Scene, seen: Scene) -> None:
     near = [place for place in listed if any(math.dist(place, other) < 1e-6 * plan.height for other in lost)]
     if near:
         what = f"{len(near)} points of the lists of control and check points are on no image, such as {near[0]}"
-        raise BlockError([Problem(what, "correct their coordinates, or fly there", table="flight")])
+        raise BlockError([Problem(what, "correct their coordinates, or change the flight", table="flight")])

@@ -120,8 +120,10 @@ def iterations(result: Adjustment, *, ax: Axes | None = None, **style: Any) -> A
 
 
 def doming(result: Adjustment, *, ax: Axes | None = None, **style: Any) -> Axes:
-    """Draws the differences in height at control and check points over the distance from the centre of the block. With
-    the fitted paraboloid dZ = a + b r^2: a bowl or a dome indicates distortion that the camera model does not contain.
+    """Draws the differences in height at control and check points over the distance from the centre of the block.
+
+    With the fitted paraboloid dZ = a + b r^2: a bowl or a dome indicates distortion that the camera model does not
+    contain.
 
     Raises: ValueError for fewer than three differences.
     """

@@ -36,8 +36,11 @@ LEVEL = 0.05
 
 
 class Differences(NamedTuple):
-    """Differences of the common rows of one table, second minus first. `t`: divided by their standard deviations, NaN
-    where these are unknown. `only`: numbers of rows in only the first and only the second result."""
+    """Differences of the common rows of one table, second minus first.
+
+    `t`: divided by their standard deviations, NaN where these are unknown. `only`: numbers of rows in only the first
+    and only the second result.
+    """
 
     table: str
     names: tuple[str, ...]
@@ -60,8 +63,11 @@ class Comparison(NamedTuple):
 
 
 class Congruency(NamedTuple):
-    """The test whether the points of two surveys are the same. `statistic`: sum of t^2 over `freedom` coordinates;
-    `limit`: its limit at `level`. `points`: sums of single points, with their common limit `point_limit`."""
+    """The test whether the points of two surveys are the same.
+
+    `statistic`: sum of t^2 over `freedom` coordinates; `limit`: its limit at `level`. `points`: sums of single points,
+    with their common limit `point_limit`.
+    """
 
     statistic: float
     freedom: int

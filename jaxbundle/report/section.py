@@ -13,7 +13,7 @@ from typing import Any
 import numpy as np
 from jaxtyping import Int
 
-LARGEST_FIXED = 1e12  # four decimals exceed double precision
+MAX_FIXED = 1e12  # four decimals exceed double precision
 NAME, PARAMETER, OWNER = 18, 36, 26  # longer names, of parameters, and of those with two ends, are shortened
 
 
@@ -180,7 +180,7 @@ def fixed(value: float, places: int) -> str:
     """A number with a number of decimals; "-" for NaN, with an exponent if it is absurdly large."""
     if not math.isfinite(value):
         return "-"
-    return f"{value:.{places}f}" if abs(value) < LARGEST_FIXED else f"{value:.6g}"
+    return f"{value:.{places}f}" if abs(value) < MAX_FIXED else f"{value:.6g}"
 
 
 def deviation(value: float, places: int) -> str:

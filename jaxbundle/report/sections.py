@@ -37,10 +37,10 @@ from jaxbundle.report.section import (
 )
 from jaxbundle.solve.adjustment import DOWN_WEIGHTED
 from jaxbundle.statistics.reliability_tables import UNCONTROLLED
-from jaxbundle.statistics.subsets import three_groups
+from jaxbundle.statistics.subsets import default_groups
 
 WORST, PAIRS = 20, 50  # numbers of rays and correlations in the text
-MOST_WORST = 500  # maximum number of rays with the largest residuals in any output
+MAX_WORST = 500  # maximum number of rays with the largest residuals in any output
 V = ("vx", "vy")
 SMALLEST = np.finfo(float).tiny
 
@@ -106,7 +106,7 @@ def adjustment_section(figures: Figures) -> Section:
     end = f"stopping rule '{adjustment.stopping_rule}', last step {last}"
     how, trials = f"{int(n.accepted)} accepted; {adjustment.method}", int(n.trials)
     redundancy, rule = adjustment.redundancy, adjustment.stopping_rule
-    m, u = adjustment.observations, adjustment.unknowns
+    m, u = adjustment.n_observations, adjustment.n_unknowns
     facts = (
         fact("Block", _counts(figures)),
         fact("Observations M", f"{m}", observations=m),
@@ -250,7 +250,7 @@ def _down_weighted(figures: Figures) -> Section:
 def _rays(figures: Figures) -> Section:
     """A table of all rays; the text shows those with the largest residuals."""
     size, reliability = figures.ray_size, figures.reliability
-    count = min(MOST_WORST, len(size))
+    count = min(MAX_WORST, len(size))
     worst = np.argpartition(-size, count - 1)[:count] if count else np.zeros(0, int)
     image, point = _names_of_rays(figures)
     rays, size_name = figures.adjustment.block.rays, "|w|/sigma0" if reliability else "|v|/(sigma0 sigma)"
@@ -274,7 +274,7 @@ def reliability_section(figures: Figures) -> Section:
     """A table of the redundancy numbers of each group: number, sum, mean, minimum, and maximum |w| and MDE."""
     adjustment, rows, names = figures.adjustment, [], []
     found = figures.reliability[:3] if figures.reliability and not adjustment.undetermined else ()
-    for group in three_groups(adjustment.block) if found else ():
+    for group in default_groups(adjustment.block) if found else ():
         r, w, mde = (
             np.concatenate([table[mask] for table, mask in zip(tables, group.masks, strict=True)]) for tables in found
         )

@@ -1,10 +1,10 @@
-"""`adjust`: a block in, its adjustment out."""
+"""The function `adjust`: from a block to its adjustment."""
 
 import dataclasses
 import importlib
 from collections.abc import Callable
 from pathlib import Path
-from typing import NamedTuple, Unpack
+from typing import Literal, NamedTuple, Unpack
 
 import jax
 import jax.numpy as jnp
@@ -31,7 +31,7 @@ from jaxbundle.numerics.host import constant, on_device, on_host
 from jaxbundle.solve import levenberg_marquardt as solver
 from jaxbundle.solve.adjustment import Adjustment, Iterations, Status
 from jaxbundle.solve.answer import Ended, adjustment
-from jaxbundle.solve.checkpoint import Keeper, fingerprint, require_same_block
+from jaxbundle.solve.checkpoint import Checkpointer, fingerprint, require_same_block
 from jaxbundle.solve.damping import Marquardt, Undamped
 from jaxbundle.solve.free_network import constrained, freed
 from jaxbundle.solve.history import History, history_of
@@ -46,11 +46,16 @@ from jaxbundle.solve.verdict import with_verdict
 
 DAMPINGS = {"levenberg-marquardt": Marquardt, "gauss-newton": Undamped}
 RAYS_FOR_DEVICES = 10_000
-CREEPING_STEPS = 10  # Gauss-Newton and Levenberg-Marquardt end in fewer where the datum is determined
+UNDAMPED_STEPS = 30  # maximum number of full steps where damped ones creep
+CREEPING_STEPS = 10  # both methods need fewer iterations where the datum is determined
+
+
+Phase = Literal["planning", "compiling", "iterating", "standard deviations"]
+"""Phases of an adjustment: the first iteration compiles its program, unless an equal block was adjusted before."""
 
 
 class Progress(NamedTuple):
-    """One iteration as a progress callback sees it; `step` is |J d| / |v|."""
+    """State after one iteration, for a progress callback; `step` is |J d| / |v|."""
 
     iteration: int
     cost: float
@@ -59,7 +64,7 @@ class Progress(NamedTuple):
     accepted: bool
     sigma0: float
     ended: bool = False
-    """Whether it is the last one: what follows are standard deviations."""
+    """Whether this is the last iteration; standard deviations follow."""
 
 
 def adjust(
@@ -68,35 +73,39 @@ def adjust(
     *,
     checkpoint: Path | None = None,
     progress: Callable[[Progress], None] | None = None,
+    phase: Callable[[Phase], None] | None = None,
     **choices: Unpack[Choices],
 ) -> Adjustment:
-    """Adjusts a block by least squares; its values are the start.
+    """Adjusts a block by least squares, starting from its values.
 
     Args:
         block: the block.
-        options: those of another adjustment, `result.options`; the defaults if None. The keywords change single ones.
+        options: options, such as `result.options` of another adjustment; the defaults if None. Keywords change single
+            options.
         method: "levenberg-marquardt" or "gauss-newton".
         stop: a stopping rule, AngleRule() if None.
-        max_iterations: maximum number of iterations, 200.
-        precision: compute cofactors and standard deviations, True.
-        engine: "block", or "jaxopt" as a second opinion on small blocks.
-        reduced: how the reduced equations are solved, "dense", "panels" or "pcg" (conjugate gradients, which give no
-            standard deviations), "auto" by their size.
-        devices: JAX devices to deal the points to, those of all processes counted; if None all of them, or one for a
-            small block.
-        robust: a weight function for gross errors in the rays, such as Huber(); its weights are kept in `reweighting`.
-        derivatives: of the minimum, under grad, jacfwd or jacrev: "exact", or by "gauss-newton" without the second
-            derivatives of the observations.
-        checkpoint: a file that keeps the state after every accepted iteration; where it exists the solve goes on from
+        max_iterations: maximum number of iterations, default 200.
+        precision: whether cofactors and standard deviations are computed, default True.
+        engine: "block", or "jaxopt", an independent solver for small blocks.
+        reduced: solver of the reduced normal equations, "dense", "panels" or "pcg" (conjugate gradients, which give no
+            standard deviations), "auto" chooses by size.
+        devices: number of JAX devices for the points, in all processes; if None all devices, or one for a small
+            block.
+        robust: a weight function for gross errors in the rays, such as Huber(); the result has the weights in
+            `reweighting`.
+        derivatives: derivatives of the minimum under grad, jacfwd or jacrev: "exact", or "gauss-newton", which
+            neglects the second derivatives of the observations.
+        checkpoint: a file for the state after each accepted iteration; if it exists, the adjustment resumes from
             it.
-        progress: called after every iteration.
+        progress: a function that is called after each iteration.
+        phase: a function that is called with the name of each phase when it begins.
 
-    Returns: the adjustment, which keeps the options. Ctrl-C, or a KeyboardInterrupt of `progress`, ends the iterations
-    and keeps the last accepted unknowns, without standard deviations.
+    Returns: the adjustment, with its options. After Ctrl-C, or a KeyboardInterrupt in `progress`, it has the last
+    accepted unknowns, without standard deviations.
 
-    Raises: TypeError for what is not a Block, or an unknown option; BlockError with all problems of the block;
-    CheckpointError for a checkpoint of another block; ValueError for an unknown name or without float64;
-    KeyboardInterrupt where that came before the first accepted step.
+    Raises: TypeError for an object that is not a Block, or an unknown option; BlockError with all problems of the
+    block; CheckpointError for a checkpoint of another block; ValueError for an unknown name or without float64;
+    KeyboardInterrupt if it came before the first accepted step.
     """
     require_a(Block, block, "adjust")
     wanted = chosen(options, choices, "adjust")
@@ -107,11 +116,11 @@ def adjust(
     else:
         require_consistent(values)
     if wanted.robust is None:
-        found = _least_squares(block, wanted, _Watch(checkpoint, progress))
+        found = _least_squares(block, wanted, _Watch(checkpoint, progress, phase))
         return with_verdict(found) if block.concrete else found
     if checkpoint is not None:
-        raise ValueError("a robust adjustment solves many times and keeps no checkpoint")
-    watch, fully = _Watch(None, progress), dataclasses.replace(wanted, robust=None)
+        raise ValueError("`checkpoint` is not supported together with `robust`")
+    watch, fully = _Watch(None, progress, phase), dataclasses.replace(wanted, robust=None)
     quickly = dataclasses.replace(fully, precision=False)
     solve = Solve(
         lambda b: _least_squares(b, quickly, watch, inspected=False), lambda b: _least_squares(b, fully, watch)
@@ -120,16 +129,22 @@ def adjust(
 
 
 class _Watch(NamedTuple):
-    """What follows one solve."""
+    """Outcome of one solve."""
 
     checkpoint: Path | None
     progress: Callable[[Progress], None] | None
+    phase: Callable[[Phase], None] | None = None
+
+    def begins(self, phase: Phase) -> None:
+        """Tells who looks on that a phase begins."""
+        if self.phase is not None:
+            self.phase(phase)
 
 
 def _least_squares(block: Block, options: Options, watch: _Watch, inspected: bool = True) -> Adjustment:
-    """One adjustment; without `inspected` one whose answer is not checked, for a result that nobody sees."""
+    """One adjustment; with `inspected` false its answer is not checked, for internal results."""
     if block.structure.datum.kind == "inner" and not block.concrete:
-        raise ValueError("a free network is adjusted outside of jit, grad and vmap; there take a minimal datum")
+        raise ValueError("a free network cannot be adjusted inside jit, grad and vmap; use a minimal datum there")
     values = with_datum(constant(block))
     block = values if block.concrete else dataclasses.replace(block, structure=values.structure)
     origin = on_host(values.exterior.projection_centre).mean(0)
@@ -137,12 +152,14 @@ def _least_squares(block: Block, options: Options, watch: _Watch, inspected: boo
     optimised = len(block.structure.ray_image) >= RAYS_FOR_OPTIMISATION
     centres = np.asarray(values.exterior.projection_centre) if values.concrete else None
     devices, precision = devices_of(values, options.devices), options.precision
+    watch.begins("planning")
     plan = planned(block.structure, block.groups, centres, devices, options.reduced, direct=precision)
     rule = options.stop.of(centred)
     run = _Run(centred, plan, Arguments(problem(plan, centred), rule.arranged(plan.order)), optimised, options, watch)
+    watch.begins("compiling")
     arranged, iterations = _solved(run, rule)
     given = run.args.problem
-    if block.concrete:  # an interruption is answered at once
+    if block.concrete:  # an interruption returns immediately
         precision = precision and int(iterations.status) != Status.INTERRUPTED
     else:
         centred = block.moved(-origin)
@@ -152,15 +169,17 @@ def _least_squares(block: Block, options: Options, watch: _Watch, inspected: boo
     if block.structure.datum.kind == "inner":
         arranged = to_elimination_order(plan, constrained(centred, to_block_order(plan, arranged)))
         block = dataclasses.replace(block, structure=freed(block.structure))
+    if precision:
+        watch.begins("standard deviations")
     ended = Ended(iterations, origin, options, precision, inspected and block.concrete, optimised)
     return adjustment(block, plan, given, arranged, ended)
 
 
 def _solved(run: "_Run", rule: AbstractStoppingRule) -> tuple[OrderedUnknowns, Iterations]:
-    """The minimum. `rule`: in the order of the block."""
+    """Iterates to the minimum. `rule`: in the order of the block."""
     block, options, checkpoint = run.block, run.options, run.watch.checkpoint
     if options.engine == "jaxopt":
-        # jaxopt warns at import that it is no longer developed: only who asks for it shall load it
+        # jaxopt warns at import that it is no longer developed: it is imported only on request
         second_opinion = importlib.import_module("jaxbundle.solve.second_opinion")
         args = second_opinion.Arguments(observations_of(block), rule)
         unknowns, iterations = second_opinion.solve(unknowns_of(block), args, options.method, options.max_iterations)
@@ -170,13 +189,14 @@ def _solved(run: "_Run", rule: AbstractStoppingRule) -> tuple[OrderedUnknowns, I
         return to_elimination_order(run.plan, unknowns), iterations
     if not block.concrete:
         return _in_one(run)
-    return _step_by_step(run, None if checkpoint is None else Keeper(checkpoint, fingerprint(block, options.method)))
+    saved = None if checkpoint is None else Checkpointer(checkpoint, fingerprint(block, options.method))
+    return _step_by_step(run, saved)
 
 
 def devices_of(block: Block, wanted: int | None) -> int:
-    """Devices to deal the tiles to. A small block loses more to their exchange than it gains: if not `wanted`, one.
+    """Devices for the tiles. For a small block the communication costs more than it saves: one by default.
 
-    Raises: ValueError for a number that is not there, or that would leave a process without a part.
+    Raises: ValueError for a number of devices that does not exist, or that would leave a process without work.
     """
     there, processes = jax.device_count(), jax.process_count()
     if wanted is None:
@@ -185,14 +205,14 @@ def devices_of(block: Block, wanted: int | None) -> int:
     if not 1 <= wanted <= there:
         raise ValueError(f"devices={wanted}, but JAX has {there}; give 1 to {there}, or set jax_num_cpu_devices before")
     if processes > 1 and wanted not in (1, there):
-        raise ValueError(f"devices={wanted} leave some of {processes} processes idle; give {there}, all, or 1")
+        raise ValueError(f"devices={wanted} leave some of {processes} processes idle; give {there} (all) or 1")
     if processes > 1 and wanted > 1 and not block.concrete:
         raise ValueError(f"under jit, grad and vmap each of {processes} processes computes alone; give devices=1")
     return wanted
 
 
 class _Run(NamedTuple):
-    """What a solve needs."""
+    """Input of a solve."""
 
     block: Block
     plan: EliminationPlan
@@ -203,9 +223,10 @@ class _Run(NamedTuple):
 
 
 def _in_one(run: _Run) -> tuple[OrderedUnknowns, Iterations]:
-    """All steps in one program, as tracing needs it; under vmap one block after the other.
+    """All steps in one program, for tracing; under vmap one block after the other.
 
-    Measured: a block's arrays are long enough by themselves, those of many blocks together leave the processor's cache.
+    Measured: the arrays of one block are long enough for vectorisation; those of many blocks exceed the processor's
+        cache.
     """
     bundle, most = BundleSolver(DAMPINGS[run.options.method]()), run.options.max_iterations
 
@@ -219,18 +240,18 @@ def _in_one(run: _Run) -> tuple[OrderedUnknowns, Iterations]:
     return found.unknowns, _iterations(found.state, status_of(found.result), history)
 
 
-def _step_by_step(run: _Run, keeper: Keeper | None) -> tuple[OrderedUnknowns, Iterations]:
-    """One step a call, so that a user can look on, stop it, and go on from a checkpoint."""
+def _step_by_step(run: _Run, checkpointer: Checkpointer | None) -> tuple[OrderedUnknowns, Iterations]:
+    """One step per call, so that progress can be shown, the solve can be stopped and resumed from a checkpoint."""
     bundle, most, progress = (
         BundleSolver(DAMPINGS[run.options.method]()),
         run.options.max_iterations,
         run.watch.progress,
     )
     start, state = unknowns_of(run.block), bundle.first()
-    if keeper is not None:
-        start, state = keeper.resumed(start, state)
+    if checkpointer is not None:
+        start, state = checkpointer.resumed(start, state)
         new = bundle.first()
-        state = state._replace(ended=new.ended, result=new.result)  # a file's verdict is not believed
+        state = state._replace(ended=new.ended, result=new.result)  # the status in a file is not used
     unknowns, problem, state = placed(to_elimination_order(run.plan, start), run.args.problem, state)
     found = Solved(unknowns, state, optx.RESULTS.nonlinear_max_steps_reached)
     args, interrupted, costs, creeping = run.args._replace(problem=problem), False, [], False
@@ -245,18 +266,26 @@ def _step_by_step(run: _Run, keeper: Keeper | None) -> tuple[OrderedUnknowns, It
             accepted = int(state.accepted) > before
             numbers = float(state.cost), float(state.used_damping), float(state.step)
             entries.append((int(state.trials) - 1, *numbers, accepted))
-            if keeper is not None and accepted and not bool(state.ended):
-                # the last step is not kept: who goes on from here does it again and comes to the same end
-                keeper.keep(to_block_order(run.plan, found.unknowns), state)
+            if checkpointer is not None and accepted and not bool(state.ended):
+                # the last step is not saved: a resumed solve repeats it with the same result
+                checkpointer.save(to_block_order(run.plan, found.unknowns), state)
             if progress is not None:
                 progress(_progress(run.block, state, accepted))
+            if len(entries) == 1:
+                run.watch.begins("iterating")
             if accepted:
                 costs.append(float(state.cost))
                 creeping = is_creeping(run.block, costs)
     except KeyboardInterrupt:
         if jax.process_count() > 1 or not int(found.state.accepted):
-            raise  # the others would wait for this one for ever; or there is nothing to keep
+            raise  # the other processes would wait for ever; or there is no accepted step
         interrupted = not bool(found.state.ended)
+    if creeping:
+        further = _undamped(run, found, args)
+        if further is not None:
+            found, creeping = further, False
+            last = float(found.state.cost), 0.0, float(found.state.step), True
+            entries.append((int(found.state.trials) - 1, *last))
     state, result = jax.tree.map(lambda x: on_device(on_host(x)), (found.state, found.result))
     status = Status.INTERRUPTED if interrupted else Status(int(status_of(result)))
     if creeping and status is Status.MAXIMUM_ITERATIONS:
@@ -264,9 +293,24 @@ def _step_by_step(run: _Run, keeper: Keeper | None) -> tuple[OrderedUnknowns, It
     return found.unknowns, _iterations(state, on_device(int(status)), history_of(entries, most))
 
 
+def _undamped(run: _Run, found: Solved, args: Arguments) -> Solved | None:
+    """Full steps of Gauss-Newton from where damped ones creep along a curved valley; None unless they converge at a
+    smaller cost."""
+    damping, steps = Undamped(), min(UNDAMPED_STEPS, run.options.max_iterations - int(found.state.trials))
+    if steps <= 0:
+        return None
+    state = found.state._replace(damping=damping.initial_state())
+    further = solver.run(BundleSolver(damping), found.unknowns, args, state, steps, optimised=run.optimised)
+    converged = int(status_of(further.result)) == Status.CONVERGED and bool(further.state.ended)
+    return further if converged and float(further.state.cost) <= float(found.state.cost) else None
+
+
 def is_creeping(block: Block, costs: list[float]) -> bool:
-    """Whether the last steps only follow a weak direction of the datum: v^T P v falls by less than one standard
-    deviation of an unknown would make it fall, and control alone leaves the direction without any use."""
+    """Whether the last steps only follow a weak direction of the datum.
+
+    Then v^T P v falls by less than the effect of one standard deviation of an unknown, and control determines this
+    direction too weakly to be usable.
+    """
     if len(costs) <= CREEPING_STEPS or len(costs) % CREEPING_STEPS:
         return False
     fallen, variance = 2 * (costs[-1 - CREEPING_STEPS] - costs[-1]), 2 * costs[-1] / max(block.redundancy, 1)

@@ -1,4 +1,4 @@
-"""The answer of an adjustment: adjusted block, residuals, sigma0, cofactors and what follows from them."""
+"""The result of an adjustment: adjusted block, residuals, sigma0, cofactors and derived values."""
 
 import dataclasses
 from typing import Any, NamedTuple
@@ -11,12 +11,12 @@ from jaxtyping import Array, Float, Int
 from jaxbundle.block.block import Block
 from jaxbundle.block.findings import Finding, Kind, Severity, of_kind
 from jaxbundle.block.named import CameraValues, ImageValues, Named, PointValues
+from jaxbundle.block.notebook import result_html
 from jaxbundle.block.wording import counted
 from jaxbundle.normals.pcg import TOLERANCE
 from jaxbundle.numerics.host import array_module, is_concrete, on_device, on_host
 from jaxbundle.numerics.offered import offered
 from jaxbundle.solve.history import History
-from jaxbundle.solve.notebook import result_html
 from jaxbundle.solve.options import Options
 from jaxbundle.solve.status import Status
 from jaxbundle.solve.weight_functions import with_weights
@@ -26,12 +26,15 @@ REDUCED = {
     "panels": "sparse Cholesky factorisation in panels of images",
     "pcg": f"preconditioned conjugate gradients to {TOLERANCE:.0e} of the right-hand side",
 }
-DOWN_WEIGHTED = 0.5  # a robust weight below which a ray is listed
+DOWN_WEIGHTED = 0.5  # rays with a smaller robust weight are listed
 
 
 class Iterations(NamedTuple):
-    """How the solve went. `measure` is the stopping rule's number at the last accepted step; `step`, |J d| / |v| of
-    the last one if it was not damped, else 0. `history`: every iteration; empty where the engine does not tell them."""
+    """Statistics of the iterations of a solve.
+
+    `measure`: value of the stopping rule at the last accepted step; `step`: |J d| / |v| of the last step if it was not
+    damped, else 0. `history`: all iterations; empty if the solver does not report them.
+    """
 
     status: Int[Array, ""]
     trials: Int[Array, ""]
@@ -44,7 +47,7 @@ class Iterations(NamedTuple):
 
 
 class StandardDeviations(NamedTuple):
-    """A-posteriori standard deviations, angles in radians; 0 for what is held."""
+    """A-posteriori standard deviations, angles in radians; 0 for fixed elements."""
 
     projection_centre: Float[Array, "image 3"]
     angles: Float[Array, "image 3"]
@@ -54,7 +57,7 @@ class StandardDeviations(NamedTuple):
 
 
 class BlockCofactors(NamedTuple):
-    """Blocks of the cofactor matrix; angles of the user's rotation system in radians; 0 for what is held."""
+    """Blocks of the cofactor matrix; angles of the user's rotation system in radians; 0 for fixed elements."""
 
     exterior: Float[Array, "image 6 6"]
     interior: Float[Array, "camera element element"]
@@ -62,7 +65,7 @@ class BlockCofactors(NamedTuple):
     parameters: Float[Array, "parameter parameter"]
 
     def standard_deviations(self, sigma0: Any) -> StandardDeviations:
-        """Standard deviations of all unknowns for a standard deviation of unit weight."""
+        """Standard deviations of all unknowns, for a given standard deviation of unit weight."""
         blocks = self.exterior, self.interior, self.object_points, self.parameters
         exterior, interior, points, parameters = (on_host(sigma0) * _roots(c) for c in blocks)
         parts = exterior[:, :3], exterior[:, 3:], interior, points, parameters
@@ -70,7 +73,7 @@ class BlockCofactors(NamedTuple):
 
     @property
     def interior_correlations(self) -> Float[Array, "camera element element"]:
-        """Correlations of the interior elements of each camera; 0 for held elements."""
+        """Correlations of the interior elements of each camera; 0 for fixed elements."""
         q, xp = on_host(self.interior), array_module(self.interior)
         root = _roots(q)
         product = root[:, :, None] * root[:, None, :]
@@ -78,9 +81,9 @@ class BlockCofactors(NamedTuple):
 
 
 class Reweighting(eqx.Module):
-    """Robust weights of the rays, 1 for those that are believed in full; the weight function and its limit.
+    """Robust weights of the rays, 1 for full weight; the weight function and its limit.
 
-    `settled`: the last round changed them no more.
+    `settled`: whether the weights have converged.
     """
 
     name: str = eqx.field(static=True)
@@ -91,12 +94,14 @@ class Reweighting(eqx.Module):
 
 
 class Adjustment(eqx.Module):
-    """An adjusted block. `residuals`: rays first (unit of the rays, y up), then every group of `block.groups`.
+    """An adjusted block with its residuals and precision.
 
-    `redundancy_numbers` are laid out alike. They and `cofactors` are None where no standard deviations were asked for.
-    `options` are those it was made with: `adjust(block, result.options)` adjusts another block alike.
+    `residuals`: rays first (unit of the rays, y up), then each group of `block.groups`.
 
-    A pytree: jit, grad and vmap go through it.
+    `redundancy_numbers` have the same structure. They and `cofactors` are None without standard deviations.
+    `options`: options of this adjustment; `adjust(block, result.options)` adjusts another block with them.
+
+    It is a pytree, so it works with jit, grad and vmap.
     """
 
     block: Block
@@ -106,10 +111,12 @@ class Adjustment(eqx.Module):
     redundancy_numbers: tuple[Float[Array, "_member _component"], ...] | None
     iterations: Iterations
     options: Options
-    reduced: str = eqx.field(static=True)  # how the reduced equations were solved
-    findings: tuple[Finding, ...] = eqx.field(static=True, default=())  # of the block and of its adjustment
+    reduced: str = eqx.field(static=True)  # solver of the reduced normal equations
+    findings: tuple[Finding, ...] = eqx.field(static=True, default=())  # findings about the block and its adjustment
     reweighting: Reweighting | None = None  # None: not robust
-    undetermined_directions: int = eqx.field(static=True, default=0)  # in which the unknowns move and no residual does
+    undetermined_directions: int = eqx.field(
+        static=True, default=0
+    )  # directions of the unknowns without effect on the residuals
 
     def __repr__(self) -> str:
         structure = self.block.structure
@@ -121,13 +128,13 @@ class Adjustment(eqx.Module):
         structure = self.block.structure
         title = f"Adjustment {structure.name or '(unnamed)'}"
         if not is_concrete(self) or np.ndim(self.iterations.status):
-            return result_html(title, [("status", "traced, or many in one")], ())
+            return result_html(title, [("status", "traced, or many adjustments")], ())
         counts = counted(len(structure.image_names), "image"), counted(len(structure.point_names), "point")
         rows = [
             ("verdict", self.verdict),
             ("sigma0", f"{float(self.sigma0):.6g}"),
             ("block", ", ".join((*counts, counted(len(structure.ray_image), "ray")))),
-            ("redundancy", f"{self.redundancy} = {self.observations} observations - {self.unknowns} unknowns"),
+            ("redundancy", f"{self.redundancy} = {self.n_observations} observations - {self.n_unknowns} unknowns"),
             ("datum", str(structure.datum)),
             ("iterations", f"{int(self.iterations.trials)}, {int(self.iterations.accepted)} accepted"),
         ]
@@ -135,42 +142,42 @@ class Adjustment(eqx.Module):
 
     @property
     def method(self) -> str:
-        """The method it was made by."""
+        """The method of the adjustment."""
         return self.options.method
 
     @property
     def stopping_rule(self) -> str:
-        """Name of the rule that ended the iterations."""
+        """Name of the stopping rule."""
         return self.options.stop.name
 
     @property
     def weighted_block(self) -> Block:
-        """The adjusted block with the weights that the adjustment had at last: those of the last robust round.
+        """The adjusted block with the final weights: those of the last robust round.
 
-        `block` has the sigmas as they were given. Whatever computes with weights after an adjustment takes this one.
+        `block` has the given sigmas. Computations with weights after an adjustment use this block instead.
         """
         if self.reweighting is None:
             return self.block
         return with_weights(self.block, np.asarray(self.block.rays.sigmas), np.asarray(self.reweighting.weights))
 
     @property
-    def observations(self) -> int:
+    def n_observations(self) -> int:
         """M."""
-        return self.block.observations
+        return self.block.n_observations
 
     @property
-    def unknowns(self) -> int:
+    def n_unknowns(self) -> int:
         """N."""
-        return self.block.structure.unknowns
+        return self.block.structure.n_unknowns
 
     @property
     def redundancy(self) -> int:
-        """M - N, where N does not count directions of the unknowns that are not determined: M less the rank of A."""
+        """Redundancy M - rank A: undetermined directions of the unknowns do not count in N."""
         return self.block.redundancy + self.undetermined_directions
 
     @property
     def vtpv(self) -> Float[Array, ""]:
-        """v^T P v of all observations."""
+        """The weighted sum of squares v^T P v of all observations."""
         squares = [array_module(v).sum(on_host(v) ** 2) for v in self.weighted_residuals]
         return on_device(sum(squares, 0.0))
 
@@ -181,35 +188,33 @@ class Adjustment(eqx.Module):
 
     @property
     def status(self) -> Status:
-        """How the iterations ended.
+        """The status of the iterations.
 
-        Raises: ValueError under tracing, where no number is known yet, and for many adjustments in one.
+        Raises: ValueError under tracing, where values are unknown, and for the result of vmap.
         """
         status = self.iterations.status
         if not is_concrete(status):
             raise ValueError(
-                "how an adjustment ended is not known inside of jit, grad and vmap: look at its status outside of them,"
+                "the status of an adjustment is unknown inside jit, grad and vmap: read it outside,"
                 " or compare adjustment.iterations.status with jb.Status.CONVERGED by jnp.where"
             )
         if np.ndim(status):
-            raise ValueError(
-                f"these are {np.size(status)} adjustments in one, made by vmap: look at adjustment.iterations.status"
-            )
+            raise ValueError(f"these are {np.size(status)} adjustments of vmap: use adjustment.iterations.status")
         return Status(int(status))
 
     @property
     def trustworthy(self) -> bool:
-        """Converged, and nothing found that forbids trust; raises as `status`."""
+        """Whether it converged and no finding forbids its use; raises as `status`."""
         return self.status is Status.CONVERGED and not self.failures
 
     @property
     def failures(self) -> tuple[Finding, ...]:
-        """What forbids the use of this result."""
+        """Findings that forbid the use of this result."""
         return tuple(finding for finding in self.findings if finding.severity is Severity.FAILED)
 
     @property
     def verdict(self) -> str:
-        """What the result is worth: how the iterations ended, and that it must not be used where that is so."""
+        """Verdict on the result in words: the status, and the reason if it must not be used."""
         return self._verdict(self.failures)
 
     def _verdict(self, failures: tuple[Finding, ...]) -> str:
@@ -221,14 +226,14 @@ class Adjustment(eqx.Module):
 
     @property
     def undetermined(self) -> tuple[Finding, ...]:
-        """What the observations do not determine."""
+        """Findings about undetermined unknowns."""
         return of_kind(self.findings, Kind.PARTS, Kind.UNDETERMINED)
 
     @property
     def standard_deviations(self) -> StandardDeviations:
         """A-posteriori standard deviations of all unknowns.
 
-        Raises: ValueError where none were computed.
+        Raises: ValueError if they were not computed.
         """
         if self.cofactors is None:
             raise ValueError("this adjustment was made without standard deviations: call adjust(..., precision=True)")
@@ -236,7 +241,7 @@ class Adjustment(eqx.Module):
 
     @property
     def points(self) -> Named[PointValues]:
-        """The adjusted object points by name, with standard deviations and covariances where there are any."""
+        """The adjusted object points by name, with standard deviations and covariances if computed."""
         names, points = self.block.structure.point_names, self.block.object_points
         if self.cofactors is None:
             return self.block.points
@@ -246,7 +251,7 @@ class Adjustment(eqx.Module):
 
     @property
     def images(self) -> Named[ImageValues]:
-        """The adjusted orientations by name, with standard deviations and covariances where there are any."""
+        """The adjusted orientations by name, with standard deviations and covariances if computed."""
         images = self.block.images
         if self.cofactors is None:
             return images
@@ -261,28 +266,28 @@ class Adjustment(eqx.Module):
 
     @property
     def cameras(self) -> Named[CameraValues]:
-        """The adjusted cameras by name, with standard deviations of their elements where there are any."""
+        """The adjusted cameras by name, with standard deviations of their elements if computed."""
         return self.block.cameras_with(None if self.cofactors is None else self.standard_deviations.interior)
 
     @property
     def success(self) -> bool:
-        """Converged, and nothing found that forbids trust, as `scipy.optimize` calls it; raises as `status`."""
+        """Whether the result can be used (name as in `scipy.optimize`): converged, and no finding forbids it."""
         return self.trustworthy
 
     @property
     def message(self) -> str:
-        """What the result is worth, in a sentence."""
+        """The verdict on the result in one sentence."""
         return self.verdict
 
     def to_frames(self, *, units: bool = True) -> dict[str, Any]:
-        """The results as polars frames by the names of their tables: images, cameras, points, rays and the others.
+        """Returns the results as polars frames by the names of the tables: images, cameras, points, rays and others.
 
         Args:
-            units: Whether the names of columns have their units, such as "X [m]" and "sd X [m]"; else they are those of
+            units: Whether the names of columns have units, such as "X [m]" and "sd X [m]"; otherwise they are those of
                 the CSV tables, such as "X" and "sX".
 
         Raises:
-            ValueError: for an adjustment that is traced, or whose sensors are not photographs.
+            ValueError: for a traced adjustment, or for sensors other than photographs.
 
         Example:
             result.to_frames()["points"]
@@ -291,9 +296,9 @@ class Adjustment(eqx.Module):
 
     @property
     def interior_correlations(self) -> Float[Array, "camera element element"]:
-        """Correlations of the interior elements of each camera; 0 for held elements.
+        """Correlations of the interior elements of each camera; 0 for fixed elements.
 
-        Raises: ValueError where no cofactors were computed.
+        Raises: ValueError if no cofactors were computed.
         """
         if self.cofactors is None:
             raise ValueError("this adjustment was made without standard deviations: call adjust(..., precision=True)")
@@ -301,7 +306,7 @@ class Adjustment(eqx.Module):
 
     @property
     def check_differences(self) -> Float[Array, "check 3"]:
-        """Adjusted less known coordinates of the check points; NaN where a coordinate is not known."""
+        """Adjusted - known coordinates of the check points; NaN where a coordinate is unknown."""
         adjusted = on_host(self.block.object_points)[self.block.structure.check_point]
         return on_device(adjusted - on_host(self.block.check_points.coordinates))
 
@@ -311,14 +316,14 @@ class Adjustment(eqx.Module):
         low = int((np.asarray(robust.weights) < DOWN_WEIGHTED).sum())
         return (
             f"Robust weights: {robust.name}, limit {robust.limit:g}, {robust.rounds} rounds"
-            f"{'' if robust.settled else ', which did not settle'};"
+            f"{'' if robust.settled else ', which did not converge'};"
             f" {counted(low, 'ray')} below {DOWN_WEIGHTED:g}"
         )
 
     def summary(self, found: tuple[Finding, ...] | None = None) -> str:
-        """The result in a few lines, with what forbids its use; the report says the rest.
+        """The result in a few lines, with the findings that forbid its use; the report has the rest.
 
-        `found`: all findings, as `findings` gives them, where these are known; else those of the adjustment itself.
+        `found`: all findings of `findings`, if known; otherwise those of the adjustment.
         """
         structure, n = self.block.structure, self.iterations
         failures = self.failures if found is None else tuple(f for f in found if f.severity is Severity.FAILED)
@@ -333,9 +338,9 @@ class Adjustment(eqx.Module):
             f"The adjustment {self._verdict(failures)}"
             f" ({self.method}, {int(n.accepted)} steps of {int(n.trials)} tried,"
             f" stopping rule {self.stopping_rule}: {float(n.measure):.1e})",
-            f"Observations {self.observations}, unknowns {self.unknowns}, redundancy {self.redundancy}",
+            f"Observations {self.n_observations}, unknowns {self.n_unknowns}, redundancy {self.redundancy}",
             f"Datum: {structure.datum}",
-            f"Reduced equations: {REDUCED[self.reduced]}",
+            f"Reduced normal equations: {REDUCED[self.reduced]}",
             f"vTPv {float(n.initial_cost) * 2:.8g} -> {float(self.vtpv):.8g}, sigma0 {float(self.sigma0):.6g}",
             *([] if self.reweighting is None else [self._reweighted()]),
             *(f"Failed: {finding.words}" for finding in failures),
@@ -344,7 +349,7 @@ class Adjustment(eqx.Module):
 
 
 def _roots(cofactors: Array | np.ndarray) -> Any:
-    """Roots of the diagonals, in numpy where they are concrete; that of 0, of what is held, has the derivative 0."""
+    """Roots of the diagonals, in numpy for concrete ones; the root of 0, for fixed elements, has the derivative 0."""
     xp = array_module(cofactors)
     diagonal = xp.diagonal(on_host(cofactors), axis1=-2, axis2=-1)
     return xp.where(diagonal == 0, 0.0, xp.sqrt(xp.where(diagonal == 0, 1.0, diagonal)))

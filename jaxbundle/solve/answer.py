@@ -1,7 +1,7 @@
-"""From the solver's unknowns to the user's answer: residuals, angles, cofactors, all in the order of the block.
+"""Making the result from the solver's unknowns: residuals, angles and cofactors in the order of the block.
 
-What needs a program is computed in the padded order of the elimination, so one program serves many blocks; the rest is
-put in order by the host.
+Compiled programs compute in the padded elimination order, so one program is valid for many blocks; the host restores
+the order of the block.
 """
 
 from typing import NamedTuple
@@ -32,19 +32,24 @@ from jaxbundle.solve.undetermined import End, Undetermined, undetermined
 
 
 class Answer(NamedTuple):
-    """What is computed at the end, in the order of the elimination; cofactors are None where none are asked for."""
+    """Final values in elimination order; cofactors are None without standard deviations."""
 
     angles: Float[Array, "3 image"]
     residuals: list[Array]
-    noise: Float[Array, ""]  # v^T P v / 2 of rounding
+    noise: Float[Array, ""]  # v^T P v / 2 of rounding errors
     inspection: Inspection | None
     cofactors: Cofactors | None
-    to_user: Float[Array, "image 6 6"] | None  # the user's angles from those of the corrections
+    to_user: (
+        Float[Array, "image 6 6"] | None
+    )  # derivatives of the user's angles with respect to those of the corrections
 
 
 class Ended(NamedTuple):
-    """How a solve ended and what is wanted of its answer. `inspected`: whether "converged" and the determination of the
-    unknowns are checked where no standard deviations are computed."""
+    """The end of a solve and the requested values.
+
+    `inspected`: whether convergence and undetermined unknowns are checked without standard
+    deviations.
+    """
 
     iterations: Iterations
     origin: Float[Array | np.ndarray, "3"]
@@ -58,7 +63,7 @@ class Ended(NamedTuple):
 def _answer(
     arranged: OrderedUnknowns, problem: Problem, reference: Float[Array, "3 image"], precision: bool, inspected: bool
 ) -> Answer:
-    """Angles near the reference, weighted residuals, cofactors; those of the exterior in the user's angles."""
+    """Computes angles near the reference, weighted residuals, and cofactors (in the user's angles)."""
     o, matrix = problem.observations, arranged.images.rotation
     angles = jnp.stack(angles_near(tuple(matrix), reference, o.system))
     residuals = weighted_residuals(arranged, problem)
@@ -79,7 +84,7 @@ def adjustment(
     arranged: OrderedUnknowns,
     ended: Ended,
 ) -> Adjustment:
-    """The answer for a block. `problem` and `arranged` belong to the block with its origin moved to `ended.origin`."""
+    """Makes the adjustment of a block. `problem` and `arranged` have the origin `ended.origin`."""
     optimised, iterations = ended.optimised, ended.iterations
     reference = on_device(spread(on_host(block.exterior.angles).T, plan.order.image, plan.order.images, 0.0))
     answer = _answer(arranged, problem, reference, ended.precision, ended.inspected, optimised=optimised)
@@ -105,7 +110,7 @@ def adjustment(
         at_end = int(iterations.status) in (
             Status.CONVERGED,
             Status.CREEPING,
-        )  # elsewhere sizes of the block say nothing
+        )  # in other cases the dimensions of the block are not relevant
         weak = weak_datum(adjusted, float(sigma0)) if at_end and not loose.findings else ()
     return Adjustment(
         adjusted,
@@ -122,7 +127,7 @@ def adjustment(
 
 
 def certified(iterations: Iterations, found: Inspection, noise: float) -> Iterations:
-    """The iterations, ended as stalled where they converged and the gradient does not vanish at their end."""
+    """The iterations, with the status "stalled" if they converged but the gradient does not vanish."""
     if int(iterations.status) != Status.CONVERGED:
         return iterations
     tolerance = max(FLAT, float(iterations.step))
@@ -132,20 +137,20 @@ def certified(iterations: Iterations, found: Inspection, noise: float) -> Iterat
 
 
 def _tables(plan: EliminationPlan, problem: Problem, parts: list[Array]) -> tuple[Array, ...]:
-    """What belongs to the observations, a table for the rays and for every group; 0 where nothing is observed."""
+    """Values of the observations, as one table for the rays and for each group; 0 where not observed."""
     of_rays = ray_arrays(problem)
     rays = rays_to_block_order(plan, problem.observations.model.components, parts[:of_rays])
     return rays, *(on_device(on_host(v).T) for v in parts[of_rays:])
 
 
 def _unweighted(block: Block, weighted: tuple[Array, ...]) -> tuple[Array, ...]:
-    """Residuals in the units of the observations."""
+    """Residuals in the units of their observations."""
     rays = on_device(on_host(weighted[0]) * on_host(block.rays.sigmas))
     return rays, *(group.unweighted(v) for group, v in zip(block.groups, weighted[1:], strict=True))
 
 
 def _redundancy_numbers(block: Block, leverages: tuple[Array, ...]) -> tuple[Array, ...]:
-    """r = 1 - h, 0 where nothing is observed."""
+    """Redundancy numbers r = 1 - h; 0 where not observed."""
     observed = np.ones(leverages[0].shape, bool), *(group.structure.observed for group in block.groups)
     return tuple(on_device((1 - on_host(h)) * o) for h, o in zip(leverages, observed, strict=True))
 
@@ -157,7 +162,7 @@ def _adjusted(
     angles: Float[Array, "3 image"],
     origin: Float[Array | np.ndarray, "3"],
 ) -> Block:
-    """The block with its adjusted values. What is held stays exactly as it was given: moving the origin rounds."""
+    """The block with its adjusted values. Fixed elements are copied from the input, as shifts of the origin round."""
     unknowns, structure = to_block_order(plan, arranged), block.structure
 
     def chosen(free: np.ndarray, new: Array | np.ndarray, old: Array) -> Array:
@@ -178,7 +183,7 @@ def _adjusted(
 
 
 def _cofactors(block: Block, plan: EliminationPlan, answer: Answer, inner: InnerCofactors | None) -> BlockCofactors:
-    """Cofactors in the order of the block; `inner`: those of a free network in place of those of its minimal datum."""
+    """Cofactors in the order of the block; `inner`: cofactors of a free network instead of its minimal datum."""
     structure, layout, q = block.structure, plan.layout, answer.cofactors
     assert q is not None
     xp = array_module((answer.to_user, q.points))

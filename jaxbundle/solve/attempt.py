@@ -1,4 +1,4 @@
-"""An adjustment that is tried, as a question to a block: it may fail without being an error of the user."""
+"""Trying an adjustment that may fail without an error of the user."""
 
 from typing import Unpack
 
@@ -10,7 +10,7 @@ from jaxbundle.solve.options import Choices
 
 
 def attempt(block: Block, **choices: Unpack[Choices]) -> Adjustment | None:
-    """The adjustment without standard deviations; None where the block cannot be adjusted or does not converge."""
+    """The adjustment without standard deviations; None if the block cannot be adjusted or does not converge."""
     wanted: Choices = {**choices, "precision": False}
     try:
         found = adjust(block, **wanted)

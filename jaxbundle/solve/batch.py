@@ -1,4 +1,4 @@
-"""Many blocks, one after the other: what fails does not stop the rest, and a table says how each one went."""
+"""Adjusting many blocks: a failing block does not stop the others, and a table has the outcome of each."""
 
 import time
 from collections.abc import Callable, Iterable, Iterator, Mapping, Sequence
@@ -7,16 +7,18 @@ from typing import Any, NamedTuple, Unpack
 
 from jaxbundle.block.block import Block
 from jaxbundle.block.given import require_a
+from jaxbundle.block.notebook import table_html
+from jaxbundle.block.wording import counted
 from jaxbundle.solve.adjust import adjust
 from jaxbundle.solve.adjustment import Adjustment, Status
 from jaxbundle.solve.options import Choices, Options, chosen
 
 FAILED = "bad input"
-SHOWN = 100  # characters of a problem in a line of the table
+SHOWN = 100  # maximum number of characters of a problem in a line of the table
 
 
 class Row(NamedTuple):
-    """One block of a batch; what is not known where it failed is None."""
+    """One block of a batch in the table; None for unknown values of a failed block."""
 
     name: str
     status: str
@@ -34,17 +36,17 @@ def row_of(name: str, a: Adjustment, seconds: float) -> Row:
     status = a.status.name.lower().replace("_", " ")
     problem = "; ".join(finding.words for finding in a.failures)
     sigma0, iterations = float(a.sigma0), int(a.iterations.trials)
-    return Row(name, status, a.observations, a.unknowns, a.redundancy, sigma0, iterations, seconds, problem)
+    return Row(name, status, a.n_observations, a.n_unknowns, a.redundancy, sigma0, iterations, seconds, problem)
 
 
 def failed_row(name: str, error: Exception, seconds: float) -> Row:
-    """The row of a block that was not adjusted."""
+    """The row of a block without adjustment."""
     return Row(name, FAILED, seconds=seconds, problem=str(error))
 
 
 @dataclass(frozen=True)
 class Outcome:
-    """A block of a batch: its adjustment, or the error that kept it from being adjusted."""
+    """A block of a batch: its adjustment, or the error that prevented it."""
 
     name: str
     result: Adjustment | ValueError
@@ -52,7 +54,7 @@ class Outcome:
 
     @property
     def row(self) -> Row:
-        """The outcome in figures and words."""
+        """The row of this outcome for the table."""
         if isinstance(self.result, Adjustment):
             return row_of(self.name, self.result, self.seconds)
         return failed_row(self.name, self.result, self.seconds)
@@ -66,25 +68,29 @@ class Batch:
 
     @property
     def adjustments(self) -> list[Adjustment]:
-        """Those of the blocks that could be adjusted."""
+        """Adjustments of the blocks that could be adjusted."""
         return [outcome.result for outcome in self.outcomes if isinstance(outcome.result, Adjustment)]
 
     @property
     def trustworthy(self) -> bool:
-        """Whether every block is adjusted and can be trusted."""
+        """Whether all blocks are adjusted and all results can be used."""
         return all(isinstance(o.result, Adjustment) and o.result.trustworthy for o in self.outcomes)
 
     def table(self) -> list[Row]:
-        """A row for every block."""
+        """The table with one row for each block."""
         return [outcome.row for outcome in self.outcomes]
 
+    def _repr_html_(self) -> str:
+        rows = [_cells(row) for row in self.table()]
+        return table_html(f"Batch of {counted(len(rows), 'block')}", Row._fields, rows)
+
     def summary(self) -> str:
-        """The table in aligned columns, one line a block, with the beginning of what is wrong."""
+        """The table in aligned columns, one line per block, with the beginning of its problem."""
         return "\n".join(table_lines(self.table()))
 
 
 def table_lines(rows: Sequence[Row]) -> list[str]:
-    """Rows as aligned lines below a header; of a problem its beginning, for the rest see the row."""
+    """Rows as aligned lines below a header; problems are shortened."""
     cells = [Row._fields, *(_cells(row) for row in rows)]
     widths = [max(map(len, column)) for column in zip(*cells, strict=True)]
     left = {0, 1, len(widths) - 1}
@@ -112,14 +118,14 @@ def adjust_many(
     progress: Callable[[Outcome], None] | None = None,
     **choices: Unpack[Choices],
 ) -> Batch:
-    """Adjusts blocks of any shapes one after the other; options and keywords as those of `adjust`.
+    """Adjusts blocks of any shapes one after the other; options and keywords as for `adjust`.
 
-    Blocks of similar size share their compiled programs. A block that cannot be adjusted has its error in the result
-    and stops no other. `blocks`: by name, or in a row, each then called by its own name; equal ones are numbered.
-    `progress` is called with every finished block. Ctrl-C ends the batch after the block that is being adjusted, of
-    which the last accepted unknowns are kept; a block without an accepted step is left out.
+    Blocks of similar size share their compiled programs. If a block cannot be adjusted, its error is in the result,
+    and the others are adjusted. `blocks`: by name, or as a sequence with the names of the blocks; equal names are
+    numbered. `progress` is called with each finished block. Ctrl-C ends the batch after the current block, which has
+    its last accepted unknowns; a block without an accepted step is left out.
 
-    Raises: TypeError for an unknown option; ValueError for options that no block can be adjusted with, or without
+    Raises: TypeError for an unknown option; ValueError for impossible options, or without
     float64.
     """
     wanted = chosen(options, choices, "adjust_many")
@@ -142,7 +148,7 @@ def adjust_many(
 
 
 def _named(blocks: Any) -> Iterator[tuple[str, Block]]:
-    """Blocks and their names, taken one by one."""
+    """Iterates over blocks and their names."""
     taken: set[str] = set()
     if isinstance(blocks, Mapping):
         for name, block in blocks.items():
@@ -159,7 +165,7 @@ def _named(blocks: Any) -> Iterator[tuple[str, Block]]:
 
 
 def unique(name: str, taken: set[str]) -> str:
-    """The name, with a number behind it if it is taken."""
+    """The name, with a number appended if it is already used."""
     number, found = 1, name
     while found in taken:
         number += 1

@@ -1,8 +1,8 @@
-"""Checkpoints: the state of a solve in a file, so that an interrupted one can go on.
+"""Checkpoints: the state of a solve in a file, to resume an interrupted one.
 
-The file holds the unknowns in the order of the block and the state of the search, and a fingerprint of everything the
-solve depends on. It is written beside its place and moved there: it is never half written. What it holds is looked at
-before it is used: shapes, types, and whether numbers are finite.
+The file contains the unknowns in the order of the block, the state of the search, and a fingerprint of all inputs of
+the solve. It is written under another name and then renamed, so it is never half-written. Shapes, types and finiteness
+of its content are checked before use.
 """
 
 import hashlib
@@ -20,20 +20,20 @@ from jaxbundle.numerics.devices import equal_in_all_processes, from_first_proces
 from jaxbundle.numerics.host import on_device, on_host
 from jaxbundle.numerics.whole_files import write_whole
 
-_HEADERS = 4096  # bytes of a file beside one array: its header of numpy and its entries in the archive
+_HEADERS = 4096  # bytes per array in addition to its data: the header of numpy and the entries of the archive
 _CURE = "delete it or name another file"
 
 
 class CheckpointError(ValueError):
-    """A file that is no checkpoint of this solve."""
+    """The error for a file that is not a checkpoint of this solve."""
 
 
 class ClusterError(ValueError):
-    """Processes of a cluster that do not do the same."""
+    """The error for processes of a cluster with different inputs."""
 
 
 def fingerprint(block: Block, method: str) -> str:
-    """Mark of a block's structure and values, and of the method."""
+    """Fingerprint of a block's structure and values, and of the method."""
     mark = hashlib.sha256(method.encode())
     structure = block.structure
     names = structure.image_names, structure.point_names, tuple(c.name for c in structure.cameras), structure.model.name
@@ -55,7 +55,7 @@ def fingerprint(block: Block, method: str) -> str:
 
 
 def require_same_block(block: Block, method: str) -> None:
-    """Raises a ClusterError where the processes of a cluster do not adjust the same block by the same method."""
+    """Raises a ClusterError if the processes of a cluster do not adjust the same block by the same method."""
     if jax.process_count() > 1 and not equal_in_all_processes(bytes.fromhex(fingerprint(block, method))):
         raise ClusterError(
             f"the {jax.process_count()} processes adjust different blocks; give all of them the same files, read by the"
@@ -66,7 +66,7 @@ def require_same_block(block: Block, method: str) -> None:
 def save(path: Path, mark: str, unknowns: Unknowns, state: Any) -> None:
     """Writes a checkpoint.
 
-    Raises: OSError where the place cannot be written.
+    Raises: OSError where the file cannot be written.
     """
     arrays: dict[str, Any] = {
         f"leaf {k}": np.asarray(leaf) for k, leaf in enumerate(jax.tree.leaves((unknowns, state)))
@@ -79,13 +79,14 @@ def save(path: Path, mark: str, unknowns: Unknowns, state: Any) -> None:
 
 
 def load(path: Path, mark: str, unknowns: Unknowns, state: Any) -> tuple[Unknowns, Any]:
-    """The checkpoint's unknowns and state; `unknowns` and `state` give their form.
+    """Reads unknowns and state of a checkpoint; `unknowns` and `state` have the expected shapes and types.
 
-    Raises: CheckpointError for a file that is none, one of another block or method, or one of impossible content.
+    Raises: CheckpointError for a file that is not a checkpoint, is from another block or method, or has impossible
+        content.
     """
     form = [on_host(leaf) for leaf in jax.tree.leaves((unknowns, state))]
     try:
-        with zipfile.ZipFile(path) as archive:  # what it takes in memory is known before it is read
+        with zipfile.ZipFile(path) as archive:  # the size in memory is checked before reading
             size = sum(entry.file_size for entry in archive.infolist())
         if size > sum(leaf.nbytes for leaf in form) + _HEADERS * (len(form) + 1):
             raise CheckpointError(f"{path} is the checkpoint of another block, or damaged; {_CURE}")
@@ -95,7 +96,7 @@ def load(path: Path, mark: str, unknowns: Unknowns, state: Any) -> tuple[Unknown
     except CheckpointError:
         raise
     except (ValueError, KeyError, EOFError, NotImplementedError, zipfile.BadZipFile, zlib.error) as error:
-        raise CheckpointError(f"{path} is no checkpoint; {_CURE}") from error
+        raise CheckpointError(f"{path} is not a checkpoint; {_CURE}") from error
     if found != mark:
         raise CheckpointError(f"{path} is the checkpoint of another block or method; {_CURE}")
     _require_form(path, leaves, form)
@@ -103,35 +104,35 @@ def load(path: Path, mark: str, unknowns: Unknowns, state: Any) -> tuple[Unknown
 
 
 def _require_form(path: Path, leaves: list[np.ndarray], form: list[np.ndarray]) -> None:
-    """Raises CheckpointError where an array has another shape or type than the form, or is not finite as that is."""
+    """Raises CheckpointError for an array with another shape or type than expected, or with infinite values."""
     if len(leaves) != len(form):
-        raise CheckpointError(f"{path} holds {len(leaves)} arrays in place of {len(form)}; {_CURE}")
+        raise CheckpointError(f"{path} contains {len(leaves)} arrays instead of {len(form)}; {_CURE}")
     for k, (leaf, wanted) in enumerate(zip(leaves, form, strict=True)):
         if (leaf.shape, leaf.dtype) != (wanted.shape, wanted.dtype):
-            what = f"{leaf.dtype} of shape {leaf.shape} in place of {wanted.dtype} of shape {wanted.shape}"
+            what = f"{leaf.dtype} of shape {leaf.shape} instead of {wanted.dtype} of shape {wanted.shape}"
             raise CheckpointError(f"{path} is damaged: its array {k} is {what}; {_CURE}")
         if not (np.isfinite(leaf) | ~np.isfinite(wanted)).all():
-            raise CheckpointError(f"{path} is damaged: its array {k} holds what is not a finite number; {_CURE}")
+            raise CheckpointError(f"{path} is damaged: its array {k} has a value that is not a finite number; {_CURE}")
 
 
-class Keeper(NamedTuple):
-    """Keeps the state of one solve in one file."""
+class Checkpointer(NamedTuple):
+    """Saves the state of one solve in one file."""
 
     path: Path
     mark: str
 
     def resumed(self, unknowns: Unknowns, state: Any) -> tuple[Unknowns, Any]:
-        """The state to go on from; the one given, and kept from now on, where there is no file yet.
+        """The state to resume from; the given one if there is no file yet.
 
-        Of several processes the first one reads and writes the file.
+        In a cluster the first process reads and writes the file.
         """
         if self.path.exists() and is_first_process():
             unknowns, state = load(self.path, self.mark, unknowns, state)
         else:
-            self.keep(unknowns, state)  # a place that cannot be written is told before the work
+            self.save(unknowns, state)  # a file that cannot be written is reported before the solve
         return from_first_process((unknowns, state))
 
-    def keep(self, unknowns: Unknowns, state: Any) -> None:
-        """Keeps the state."""
+    def save(self, unknowns: Unknowns, state: Any) -> None:
+        """Saves the current state."""
         if is_first_process():
             save(self.path, self.mark, unknowns, state)

@@ -1,16 +1,17 @@
 """Free networks: inner constraints by an S-transformation of coordinates and cofactors (Baarda 1973).
 
-The block is adjusted in a minimal datum first. With x0 the approximate coordinates of the points that carry the
-constraints, the adjusted block is moved, turned and scaled so that against them
+The block is adjusted in a minimal datum first. With x0 the approximate coordinates of the points of the constraints,
+the adjusted block is shifted, rotated and scaled so that
 
-    sum (x - x0) = 0,    sum x0 x (x - x0) = 0,    sum x0 . (x - x0) = 0      the last one where the scale is free
+    sum (x - x0) = 0,    sum x0 x (x - x0) = 0,    sum x0 . (x - x0) = 0      the last one if the scale is free
 
-G, columns of small translations, rotations and a change of scale of the whole block; B, its rows of those points only:
+With the columns of G (small translations, rotations and a change of scale of the whole block) and B, its rows of those
+points:
 
     Q' = S Q S^T,    S = I - G (B^T G)^-1 B^T
 
 for every block of Q: Q' = Q - G C^T - C G^T + G D G^T,  C = Q B M^T,  D = M B^T Q B M^T,  M = (B^T G)^-1. Among all
-datums these make the sum of the cofactors of the points' coordinates smallest (Meissl 1962).
+datums these minimise the sum of the cofactors of the points' coordinates (Meissl 1962).
 """
 
 import dataclasses
@@ -39,7 +40,7 @@ SIMILARITY = 7
 
 
 def freed(structure: Structure) -> Structure:
-    """The structure of a free network as the user sees it: nothing is held."""
+    """The structure of a free network for the user, without fixed elements."""
     free = structure.exterior_free.copy()
     for image, element in structure.datum.held:
         free[structure.image_names.index(image), structure.exterior_elements.index(element)] = True
@@ -47,20 +48,20 @@ def freed(structure: Structure) -> Structure:
 
 
 def carrying(structure: Structure) -> Bool[np.ndarray, " point"]:
-    """Points over which the inner constraints are formed."""
+    """Mask of the points of the inner constraints."""
     chosen = set(structure.datum.points)
     return np.array([not chosen or name in chosen for name in structure.point_names], bool)
 
 
 def constrained(block: Block, adjusted: Unknowns) -> Unknowns:
-    """The adjusted unknowns after the similarity transformation that fulfils the inner constraints against `block`.
+    """The adjusted unknowns after the similarity transformation that fulfils the inner constraints relative to `block`.
 
-    `block` and `adjusted` have the same origin, somewhere in the block.
+    `block` and `adjusted` have the same origin, inside the block.
 
     Raises: ValueError under tracing.
     """
     if not is_concrete((block, adjusted)):
-        raise ValueError("a free network is adjusted outside of jit, grad and vmap; there take a minimal datum")
+        raise ValueError("a free network cannot be adjusted inside jit, grad and vmap; use a minimal datum there")
     structure = block.structure
     points = carrying(structure)
     x0, x = np.asarray(block.object_points)[points].T, np.asarray(adjusted.points)[:, points]
@@ -87,7 +88,7 @@ def constrained(block: Block, adjusted: Unknowns) -> Unknowns:
 
 
 class InnerCofactors(NamedTuple):
-    """Cofactors in the inner constraints, in the order of elimination: angles are those of the corrections."""
+    """Cofactors with inner constraints, in elimination order; angles are those of the corrections."""
 
     images: Float[Array, "image 6 6"]
     border_points: Float[Array, "kept 3 3"]
@@ -104,9 +105,9 @@ def _inner_cofactors(
     points: Float[Array, "3 3 tile column"],
     constraints: int,
 ) -> InnerCofactors:
-    """S Q S^T for the blocks of Q that are given: `images`, `border` and `points` of the minimal datum.
+    """Computes S Q S^T for the given blocks of Q: `images`, `border` and `points` of the minimal datum.
 
-    `carrying`: 1 for the places of points over which the constraints are formed, tiles first, then kept points.
+    `carrying`: 1 for the points of the constraints, points of the tiles first, then border points.
     """
     g = similarities(unknowns, p, constraints)
     first, chosen = p.layout.first_point, _carried(g, p, carrying)
@@ -135,13 +136,13 @@ def _products(one: NormalVector, other: NormalVector) -> Float[Array, "k k"]:
 def _transformed(
     cofactors: Float[Array, "r r"], g: Float[Array, "k r"], q: Float[Array, "k r"], m: Array, d: Array
 ) -> Float[Array, "r r"]:
-    """Q - G C^T - C G^T + G D G^T of one block."""
+    """The transformation Q - G C^T - C G^T + G D G^T of one block."""
     mixed = g.T @ m @ q
     return cofactors - mixed - mixed.T + g.T @ d @ g
 
 
 def _carried(g: NormalVector, p: Problem, carrying: Float[Array, " place"]) -> NormalVector:
-    """B: the rows of G of the points that carry the constraints."""
+    """The matrix B: the rows of G of the points of the constraints."""
     tiles = g.tiles.shape[2:]
     places = tiles[0] * tiles[1]
     at_border = _border(carrying[places:], p.layout.first_point)
@@ -149,7 +150,7 @@ def _carried(g: NormalVector, p: Problem, carrying: Float[Array, " place"]) -> N
 
 
 def _border(of_points: Float[Array, " kept"], first: int) -> Float[Array, " border"]:
-    """A number for each kept point on the rows of its coordinates, 0 before them."""
+    """Numbers of the border points, repeated on the rows of their coordinates; 0 for earlier rows."""
     return jnp.concatenate([jnp.zeros(first), jnp.repeat(of_points, 3)])
 
 
@@ -158,9 +159,9 @@ def _by_point(border: Float[Array, "k border"], first: int) -> Float[Array, "k k
 
 
 def similarities(unknowns: OrderedUnknowns, p: Problem, constraints: int) -> NormalVector:
-    """G: corrections of the unknowns under small translations, rotations and, with 7 constraints, a change of scale.
+    """The matrix G: corrections for small translations, rotations and, with 7 constraints, a change of scale.
 
-    Lengths are in units of the spread of the images, so that all columns are of one size.
+    Lengths are in units of the spread of the images, so that all columns have similar magnitudes.
     """
     images = unknowns.images
     radius = jnp.sqrt(jnp.mean(jnp.sum(images.centre**2, 0)))
@@ -189,7 +190,7 @@ def similarities(unknowns: OrderedUnknowns, p: Problem, constraints: int) -> Nor
 def with_inner_constraints(
     unknowns: OrderedUnknowns, p: Problem, carrying: Float[Array, " place"], constraints: int, rows: NormalVector
 ) -> NormalVector:
-    """S^T f for every row f: with Q of the minimal datum, f Q f^T is that of the inner constraints."""
+    """Computes S^T f for each row f: with Q of the minimal datum, f Q f^T is then that of the inner constraints."""
     g = similarities(unknowns, p, constraints)
     chosen = _carried(g, p, carrying)
     inverse = inverse_factor(_products(chosen, g))
@@ -199,7 +200,7 @@ def with_inner_constraints(
 
 
 def carrying_places(structure: Structure, plan: EliminationPlan) -> Float[Array, " place"]:
-    """1 for the places of the points that carry the constraints, tiles first, then kept points."""
+    """Vector with 1 for the points of the constraints, points of the tiles first, then border points."""
     places = np.zeros(plan.order.points)
     places[plan.order.point[carrying(structure)]] = 1.0
     return on_device(places)
@@ -208,7 +209,7 @@ def carrying_places(structure: Structure, plan: EliminationPlan) -> Float[Array,
 def inner_cofactors_of(
     structure: Structure, plan: EliminationPlan, unknowns: OrderedUnknowns, p: Problem, q: Cofactors, optimised: bool
 ) -> InnerCofactors:
-    """The cofactors of a free network from those of the minimal datum it was adjusted in."""
+    """The cofactors of a free network from those of its minimal datum."""
     constraints = structure.datum.constraints
     return _inner_cofactors(
         unknowns, p, carrying_places(structure, plan), q.images, q.border, q.points, constraints, optimised=optimised

@@ -1,4 +1,4 @@
-"""The history of a solve: one entry per iteration, in arrays of fixed size, so that it can be kept under jit."""
+"""The history of a solve: one entry per iteration, in arrays of fixed size, so that it works under jit."""
 
 from collections.abc import Iterable
 from typing import NamedTuple
@@ -11,12 +11,12 @@ from jaxbundle.numerics.host import on_device
 
 
 class History(NamedTuple):
-    """What every iteration did, in order; entries that no iteration has filled are NaN and False."""
+    """Numbers of all iterations in order; unused entries are NaN and False."""
 
     cost: Float[Array, " iteration"]
-    """v^T P v / 2 at the unknowns that the iteration left."""
+    """v^T P v / 2 after the iteration."""
     damping: Float[Array, " iteration"]
-    """The damping lambda of its step; 0 for a full step of Gauss-Newton."""
+    """The damping lambda of the step; 0 for a full step of Gauss-Newton."""
     step: Float[Array, " iteration"]
     """|J d| / |v|: the length of the step in the space of the residuals, without a unit."""
     accepted: Bool[Array, " iteration"]
@@ -43,5 +43,5 @@ def history_of(entries: Iterable[tuple[int, float, float, float, bool]], max_ite
 
 
 def entry(cost: Array, damping: Array, step: Array, accepted: Array) -> History:
-    """One iteration, as `with_entry` takes it."""
+    """The entry of one iteration for `with_entry`."""
     return History(*map(jnp.asarray, (cost, damping, step, accepted)))

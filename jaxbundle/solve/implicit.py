@@ -1,11 +1,12 @@
-"""Derivatives of the adjusted unknowns by everything they were adjusted from, at the minimum (implicit functions).
+"""Derivatives of the adjusted unknowns with respect to all input values, at the minimum (implicit function theorem).
 
-    F(d; p) = v^T P v / 2 at the unknowns x corrected by d         p: observations, weights, control, held values, ...
+    F(d; p) = v^T P v / 2 at the unknowns x corrected by d         p: observations, weights, control, fixed values, ...
     g(x, p) = dF/dd (0; p) = 0                                     defines x(p)
     dx = - H^-1 (dg/dp) dp,    H = d2F/dd2 (0; p)                  exact, or A^T P A alone (Gauss-Newton)
 
-No iteration is differentiated. The equations are solved by the elimination of the adjustment itself; forward and
-transposed derivatives, of any order, follow from H and g, derivatives of a sum that JAX can differentiate (`cost`).
+No iteration is differentiated. The equations are solved by the same elimination as in the adjustment. Forward and
+transposed derivatives of any order follow from H and g, which are derivatives of a sum that JAX can differentiate
+(`cost`).
 """
 
 from typing import Literal
@@ -37,7 +38,7 @@ def minimum(
     derivatives: Derivatives,
     optimised: bool,
 ) -> OrderedUnknowns:
-    """`found` as a function of `p` and of what is held in `start`; its derivatives are NaN unless it has converged."""
+    """`found` as a function of `p` and of the fixed elements of `start`; derivatives are NaN unless it converged."""
     return found
 
 
@@ -58,12 +59,12 @@ def _minimum_jvp(primals: tuple, tangents: tuple) -> tuple[OrderedUnknowns, Orde
 
 
 def zero_vector(p: Problem) -> NormalVector:
-    """No correction."""
+    """A correction of zero."""
     return NormalVector(*(jnp.zeros(mask.shape) for mask in (*p.free, p.free_tiles)))
 
 
 def moved(x: OrderedUnknowns, p: Problem, d: NormalVector) -> OrderedUnknowns:
-    """The unknowns x after a correction, of which what is held takes no notice."""
+    """The unknowns x after a correction, which does not change fixed elements."""
     o, free = p.observations, p.free
     step = ReducedVector(jnp.where(free.images, d.images, 0.0), jnp.where(free.border, d.border, 0.0))
     correction = correction_of(step, p, x)
@@ -77,7 +78,7 @@ def _moved(x: OrderedUnknowns, start: OrderedUnknowns, p: Problem, d: NormalVect
 
 
 def _held(x: OrderedUnknowns, start: OrderedUnknowns, p: Problem) -> OrderedUnknowns:
-    """x with all that is held taken from the start."""
+    """The unknowns x with all fixed elements from the start."""
     o, u, first = p.observations, x.images, start.images
     free = o.exterior_free
     interior = jnp.zeros(u.interior.shape, bool)
@@ -113,9 +114,11 @@ def _gradient(x: OrderedUnknowns, start: OrderedUnknowns, p: Problem) -> NormalV
 def _solve(
     x: OrderedUnknowns, start: OrderedUnknowns, p: Problem, right: NormalVector, derivatives: Derivatives
 ) -> NormalVector:
-    """H^-1 b. The engine solves; what is differentiated once more, where it is, is the product H d."""
+    """Computes H^-1 b. The engine solves; further derivatives differentiate the product H d."""
     zero = zero_vector(p)
-    flat, vector = ravel_pytree(right)  # one array: parts that depend on nothing have no transposed solution
+    flat, vector = ravel_pytree(
+        right
+    )  # one array: JAX has no transposed solution for parts that do not depend on the input
 
     def exact(d: Array) -> Array:
         return ravel_pytree(jax.jvp(lambda e: jax.grad(_cost)(e, x, start, p), (zero,), (vector(d),))[1])[0]

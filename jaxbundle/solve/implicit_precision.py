@@ -1,12 +1,13 @@
-"""Derivatives of cofactors and leverages by everything they were computed from.
+"""Derivatives of cofactors and leverages with respect to all input values.
 
-The engine computes them without the whole of Q; their derivatives come from the whole matrix,
+The engine computes cofactors without the full matrix Q; their derivatives are computed from the full matrix,
 
-    N = A^T A,    Q = N^-1,    h = diag(A Q A^T)        A: weighted residuals by autodiff, with respect to what is free
+    N = A^T A,    Q = N^-1,    h = diag(A Q A^T)        A: derivatives of the weighted residuals by autodiff, with
+    respect to free unknowns
 
-in a form without loops, which has forward and transposed derivatives of any order: for blocks of MAX_UNKNOWNS at most.
-Others have derivatives of first order: forward through the engine, transposed by `cofactor_gradient`. Second ones raise
-an error.
+in a form without loops, which has forward and transposed derivatives of any order, for at most MAX_UNKNOWNS unknowns.
+Larger blocks have derivatives of first order: forward through the engine, transposed by `cofactor_gradient`. Second
+    derivatives raise an error.
 """
 
 from typing import NamedTuple
@@ -39,7 +40,7 @@ SECOND = (
 
 
 class Precision(NamedTuple):
-    """What has derivatives of `Cofactors`."""
+    """The fields of `Cofactors` that have derivatives."""
 
     images: Float[Array, "image d d"]
     border: Float[Array, "border border"]
@@ -51,14 +52,14 @@ def with_derivatives(
     found: Cofactors, x: OrderedUnknowns, p: Problem, plan: EliminationPlan, structure: Structure, optimised: bool
 ) -> Cofactors:
     """The cofactors as functions of the unknowns and of the observations."""
-    free = free_places(plan, structure) if structure.unknowns <= MAX_UNKNOWNS else None
+    free = free_places(plan, structure) if structure.n_unknowns <= MAX_UNKNOWNS else None
     given = Precision(found.images, found.border, found.points, found.leverages)
     q = _precision(given, x, p, free, optimised)
     return found._replace(images=q.images, border=q.border, points=q.points, leverages=q.leverages)
 
 
 def free_places(plan: EliminationPlan, structure: Structure) -> Int[Array, " free"]:
-    """Where the free unknowns stand in a vector of all places of the elimination."""
+    """Indices of the free unknowns in the padded vector of the elimination."""
     images, points = len(structure.image_names), len(structure.point_names)
     shapes = (images, 6), structure.interior_free[:, list(structure.interior_columns)].shape
     ones = (np.ones((1, *shape)) for shape in (*shapes, structure.parameter_free.shape, (points, 3)))
@@ -87,7 +88,7 @@ def _precision_jvp(primals: tuple, tangents: tuple) -> tuple[Precision, Precisio
 
 @Compiled
 def _by_engine(found: Precision, x: OrderedUnknowns, p: Problem, moved: tuple) -> Precision:
-    """The derivative along `moved`, in forward mode and transposed."""
+    """The derivative along the tangent `moved`, in forward mode and transposed."""
     vector, restored = ravel_pytree(moved)
     flat, precision = ravel_pytree(found)
 
@@ -108,7 +109,7 @@ def _by_engine(found: Precision, x: OrderedUnknowns, p: Problem, moved: tuple) -
 
 @Compiled
 def _dense(x: OrderedUnknowns, p: Problem, free: Int[Array, " free"]) -> Precision:
-    """The same from the whole of Q."""
+    """The cofactors from the full matrix Q."""
     zero = zero_vector(p)
     sizes = np.cumsum([part.size for part in zero])
 
@@ -131,7 +132,7 @@ def _dense(x: OrderedUnknowns, p: Problem, free: Int[Array, " free"]) -> Precisi
 
 
 def _blocks(q: Float[Array, "free free"], place: NormalVector) -> tuple[Array, Array, Array]:
-    """The blocks of Q of images, border and eliminated points; `place`: where every unknown stands in Q."""
+    """The blocks of Q of images, border and eliminated points; `place`: index of each unknown in Q."""
 
     def of(rows: Int[Array, "*entity k"]) -> Float[Array, "*entity k k"]:
         return q.at[rows[..., :, None], rows[..., None, :]].get(mode="fill", fill_value=0.0)

@@ -1,4 +1,4 @@
-"""The start of an adjustment: its first residuals must be finite numbers, else what spoils them is named."""
+"""The start of an adjustment: its residuals must be finite numbers, otherwise the causes are reported."""
 
 from collections.abc import Iterator
 
@@ -14,8 +14,8 @@ from jaxbundle.normals.problem import OrderedUnknowns, Problem as Arrays
 from jaxbundle.numerics.compilation import Compiled
 from jaxbundle.numerics.host import on_host
 
-LARGEST = 1e150  # a residual over its sigma: its square is still a number
-SAME_PLACE = 1e-12  # of the size of the block: what of a distance is rounding
+LARGEST = 1e150  # a residual over its sigma: the square is still finite
+SAME_PLACE = 1e-12  # share of the size of the block: rounding of a distance
 
 
 @Compiled
@@ -24,9 +24,9 @@ def _residuals(unknowns: OrderedUnknowns, p: Arrays) -> list[Array]:
 
 
 def require_finite_start(block: Block, plan: EliminationPlan, unknowns: OrderedUnknowns, p: Arrays) -> None:
-    """Raises BlockError naming the points, images and observations whose residuals at the start are no numbers.
+    """Raises BlockError for points, images and observations whose residuals at the start are not finite.
 
-    `block` has the origin of the unknowns and their start values. For where v^T P v is not finite there.
+    `block` has the origin of the unknowns and their start values. Called if v^T P v is not finite.
     """
     parts = _residuals(unknowns, p, optimised=False)
     of_rays = ray_arrays(p)
@@ -36,8 +36,8 @@ def require_finite_start(block: Block, plan: EliminationPlan, unknowns: OrderedU
         name = group.structure.kind.table
         problems += [
             Problem(
-                f"the observed value and what is computed from the approximate values differ by {_size(v)} sigmas",
-                "correct the value, its sigma, or the approximate coordinates that it is computed from",
+                f"the observed value and the value computed from the approximate values differ by {_size(v)} sigmas",
+                "correct the value, its sigma, or the approximate coordinates",
                 name,
                 int(member),
             )
@@ -68,7 +68,7 @@ def _of_rays(block: Block, rays: np.ndarray) -> Iterator[Problem]:
         yield Problem(
             f"{len(images)} images have the same approximate projection centre ({_named(structure, images)}), and"
             f" {len(np.unique(point[same]))} points lie in it",
-            "give every image its own approximate projection centre",
+            "give each image its own approximate projection centre",
             "images",
         )
         rays, image, point, same = (x[~same] for x in (rays, image, point, same))

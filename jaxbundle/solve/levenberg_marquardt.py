@@ -1,24 +1,24 @@
-"""The bundle solver: Gauss-Newton and Levenberg-Marquardt on eliminated normal equations, run by `optx.least_squares`.
+"""The bundle solver: Gauss-Newton and Levenberg-Marquardt on reduced normal equations, run by `optx.least_squares`.
 
 One step:  rows and elimination at the accepted unknowns -> reduced solution -> back-substitution -> trial -> verdict.
 
-Of optimistix it takes the driver (`optx.least_squares`: the loop, the maximum number of steps, the check for numbers
+It uses from optimistix the driver (`optx.least_squares`: the loop, the maximum number of steps, the check for numbers
 that are not finite), the protocol of a solver, RESULTS and the Solution with its statistics. It does not use `fn`: the
-residuals are evaluated inside the elimination, from the problem that travels in `args`. Derivatives of the minimum are
-those of `solve/implicit.py`, not of an adjoint of optimistix.
+residuals are evaluated inside the elimination, from the problem in `args`. Derivatives of the minimum come from
+`solve/implicit.py`, not from an adjoint of optimistix.
 
     RESULTS.successful                      converged
     RESULTS.singular                        an undamped step of Gauss-Newton had no finite solution
     RESULTS.nonlinear_divergence            an undamped step of Gauss-Newton made the residuals larger
-    RESULTS.stagnation                      no damped step reduces the residuals any more
+    RESULTS.stagnation                      no damped step reduces the residuals further
     RESULTS.nonlinear_max_steps_reached     none of these after `max_steps` steps
 
-Only accepted unknowns are linearised and the Jacobian is not kept, so the state is free of it. Convergence is
-certified by an undamped step: where a damped step meets the stopping rule the next one is tried with lambda = 0, and
-the solve ends when that one meets the rule too. Where the undamped equations are singular a damped step is no
-certificate, since a large lambda makes any step short: there the gradient must vanish,
+Only accepted unknowns are linearised, and the Jacobian is not part of the state. Convergence is confirmed by
+an undamped step: if a damped step meets the stopping rule, the next one is tried with lambda = 0, and the solve ends
+    when this one also meets the rule. If the undamped equations are singular, a damped step is not sufficient, since a
+    large lambda makes any step short: then the gradient must vanish,
 
-    |J_k^T P v| <= 1e-8 |J_k| |v| + rounding         for every unknown k, free of units
+    |J_k^T P v| <= 1e-8 |J_k| |v| + rounding         for each unknown k, free of units
 """
 
 from typing import Any, NamedTuple
@@ -39,28 +39,31 @@ from jaxbundle.solve.history import History, empty_history, entry
 from jaxbundle.solve.stopping_rules import AbstractStoppingRule, StepTaken
 
 RESULTS = optx.RESULTS
-# inherited from lineax, as whose members a type checker takes them; `promote` would start JAX at import
+# a type checker assigns these names to lineax; `promote` would start JAX at import
 _SINGULAR: Any = RESULTS.singular
 _STAGNATION: Any = RESULTS.stagnation
-FLAT = 1e-8  # cosine of the angle between v and the column of an unknown: the limit of the angle rule
-LARGEST_DAMPING = 1e16  # beyond, a step no longer changes the unknowns in double precision
+FLAT = 1e-8  # cosine of the angle between v and the column of an unknown: same limit as the angle rule
+MAX_DAMPING = 1e16  # maximum damping: with more, a step does not change the unknowns in double precision
 
 
 class Arguments(NamedTuple):
-    """What travels through `args`: arrays and the functions they are put into, no names."""
+    """Content of `args`: arrays and the functions that use them, without names."""
 
     problem: Problem
     rule: AbstractStoppingRule
 
 
 class State(NamedTuple):
-    """Damping and certificate change with every trial; cost (v^T P v / 2) and measure with accepted ones."""
+    """State of the solver.
+
+    Damping and certificate change with each trial; cost (v^T P v / 2) and measure with accepted ones.
+    """
 
     damping: DampingState
     certifying: Bool[Array, ""]  # the next step is undamped
-    uncertified: Bool[Array, ""]  # the undamped step was singular: the gradient must do in place of one
+    uncertified: Bool[Array, ""]  # the undamped step was singular: the gradient replaces it as criterion
     ended: Bool[Array, ""]
-    result: optx.RESULTS  # of the solve where it has ended, else successful
+    result: optx.RESULTS  # result of an ended solve, otherwise "successful"
     trials: Int[Array, ""]
     accepted: Int[Array, ""]
     used_damping: Float[Array, ""]
@@ -68,11 +71,11 @@ class State(NamedTuple):
     cost: Float[Array, ""]
     measure: Float[Array, ""]
     step: Float[Array, ""]  # |J d| / |v| of the last trial
-    history: History | None  # None where the host looks on and keeps it
+    history: History | None  # None where the host collects it
 
 
 class Solved(NamedTuple):
-    """The unknowns after some steps, the state to go on from, and the result up to here."""
+    """The unknowns after some steps, the state to resume from, and the result so far."""
 
     unknowns: OrderedUnknowns
     state: State
@@ -88,12 +91,12 @@ class BundleSolver(optx.AbstractLeastSquaresSolver[OrderedUnknowns, Any, Any, St
     damping: AbstractDamping
 
     def __init__(self, damping: AbstractDamping):
-        # optimistix asks for these; the stopping rule travels in `args`
+        # optimistix requires these; the stopping rule is in `args`
         self.rtol, self.atol, self.norm = 0.0, 0.0, optx.max_norm
         self.damping = damping
 
     def first(self, recorded: int | None = None) -> State:
-        """The state before the first step; it keeps the history of `recorded` iterations, or none."""
+        """The state before the first step, with room for the history of `recorded` iterations."""
         false, zero, nan = on_device(False), on_device(0), on_device(jnp.nan)
         history = None if recorded is None else empty_history(recorded)
         start, running = self.damping.initial_state(), jax.tree.map(on_device, RESULTS.successful)
@@ -113,18 +116,18 @@ class BundleSolver(optx.AbstractLeastSquaresSolver[OrderedUnknowns, Any, Any, St
             state.damping, trial.reduction, trial.predicted, trial.cost, trial.noise
         )
         accepted = accepted & trial.finite
-        # a certifying step is no information about the damping
+        # a confirming step has no information about the damping
         damping = jax.tree.map(lambda old, new: jnp.where(state.certifying, old, new), state.damping, damping)
         unknowns = jax.tree.map(lambda old, new: jnp.where(accepted, new, old), y, trial.unknowns)
         measure = rule.measure(StepTaken(y.flat(), trial.unknowns.flat(), angle_squared, problem.observations))
         met = accepted & (measure <= rule.limit)
-        # away from where an undamped step was singular the next one may be regular
+        # at other unknowns the next undamped step may be regular
         left = accepted & ~met
         uncertified = jnp.where(state.certifying, ~trial.finite, state.uncertified & ~left)
         undamped = factor == 0
         flat = is_flat(trial.steepness, trial.cost, trial.noise, FLAT)
         converged = met & (undamped | (uncertified & flat))
-        stalled = ~converged & (damping.factor > LARGEST_DAMPING)
+        stalled = ~converged & (damping.factor > MAX_DAMPING)
         hopeless = undamped & ~state.certifying & ~accepted  # Gauss-Newton has no shorter step
         diverged = RESULTS.where(trial.finite, RESULTS.nonlinear_divergence, _SINGULAR)
         result = RESULTS.where(stalled, _STAGNATION, RESULTS.successful)
@@ -161,13 +164,13 @@ class BundleSolver(optx.AbstractLeastSquaresSolver[OrderedUnknowns, Any, Any, St
 
 
 def is_flat(steepness: Array, cost: Array, noise: Array, tolerance: Array | float) -> Bool[Array, ""]:
-    """Whether the gradient vanishes: max |J_k^T P v| / |J_k| against |v| and the rounding of v, from v^T P v / 2."""
+    """Whether the gradient vanishes: max |J_k^T P v| / |J_k| compared with |v| and its rounding, from v^T P v / 2."""
     return steepness <= tolerance * jnp.sqrt(2 * cost) + jnp.sqrt(2 * noise)
 
 
 @Compiled
 def run(solver: BundleSolver, unknowns: OrderedUnknowns, args: Arguments, state: State, max_steps: int) -> Solved:
-    """At most `max_steps` steps from a state; `max_steps` is static."""
+    """Makes at most `max_steps` steps from a state; `max_steps` is static."""
 
     def residuals(unknowns: OrderedUnknowns, args: Arguments) -> list[Array]:
         return weighted_residuals(unknowns, args.problem)

@@ -1,4 +1,4 @@
-"""The options of an adjustment: one object for every function that adjusts, kept by its result."""
+"""The options of an adjustment: one object for all functions that adjust, stored in the result."""
 
 import dataclasses
 from collections.abc import Mapping
@@ -7,7 +7,7 @@ from typing import Any, TypedDict, get_args
 import equinox as eqx
 
 from jaxbundle.normals.plan.reduced_plan import Method
-from jaxbundle.numerics.float64 import require_float64
+from jaxbundle.numerics.program_cache import prepare_jax
 from jaxbundle.solve.implicit import Derivatives
 from jaxbundle.solve.stopping_rules import AbstractStoppingRule, AngleRule
 from jaxbundle.solve.weight_functions import AbstractWeightFunction
@@ -21,7 +21,7 @@ def _rule(rule: AbstractStoppingRule | None) -> AbstractStoppingRule:
 
 
 class Choices(TypedDict, total=False):
-    """The options as keywords."""
+    """The options as keywords of a function."""
 
     method: str
     stop: AbstractStoppingRule | None
@@ -35,15 +35,15 @@ class Choices(TypedDict, total=False):
 
 
 class Options(eqx.Module):
-    """How to adjust. `dataclasses.replace(options, precision=False)` changes one of them.
+    """Options of an adjustment. `dataclasses.replace(options, precision=False)` changes one of them.
 
-    Raises: ValueError for options that no block can be adjusted with.
+    Raises: ValueError for impossible options.
     """
 
     method: str = eqx.field(static=True, default="levenberg-marquardt")
     """"levenberg-marquardt", damped steps for any start, or "gauss-newton", full steps for a good one."""
     stop: AbstractStoppingRule = eqx.field(converter=_rule, default_factory=AngleRule)
-    """The stopping rule; None stands for AngleRule()."""
+    """The stopping rule; None means AngleRule()."""
     max_iterations: int = eqx.field(static=True, default=200)
     """Maximum number of iterations of one solve."""
     precision: bool = eqx.field(static=True, default=True)
@@ -51,16 +51,16 @@ class Options(eqx.Module):
     engine: str = eqx.field(static=True, default="block")
     """"block", or "jaxopt" as a second opinion on small blocks."""
     reduced: Method = eqx.field(static=True, default="auto")
-    """How the reduced normal equations are solved: "dense", "panels", "pcg", or "auto" by their size."""
+    """Solver of the reduced normal equations: "dense", "panels", "pcg", or "auto" by their size."""
     devices: int | None = eqx.field(static=True, default=None)
-    """Number of JAX devices; None for all of them, or for one where the block is small."""
+    """Number of JAX devices; None means all, or one for a small block."""
     robust: AbstractWeightFunction | None = None
     """The weight function of a robust adjustment; None for least squares."""
     derivatives: Derivatives = eqx.field(static=True, default="exact")
     """The derivatives of the minimum: "exact" or "gauss-newton"."""
 
     def __check_init__(self) -> None:
-        require_float64()
+        prepare_jax()
         if not isinstance(self.stop, AbstractStoppingRule):
             raise TypeError(f"stop takes a stopping rule, such as jb.stopping.AngleRule(), not {self.stop!r}")
         if not isinstance(self.robust, AbstractWeightFunction | None):
@@ -76,7 +76,7 @@ class Options(eqx.Module):
 
 
 def chosen(options: Options | None, choices: Mapping[str, Any], function: str) -> Options:
-    """The options with some of them chosen anew; `function` is that of the user who did.
+    """The options with changes; `function`: name of the calling function for messages.
 
     Raises: TypeError for a name that is not an option; ValueError as `Options`.
     """

@@ -1,11 +1,11 @@
-"""Robust estimation by iterated reweighting: gross errors lose their weight, and are listed.
+"""Robust estimation by iterated reweighting: gross errors are down-weighted and listed.
 
-    minimise  sum rho(t),    t = sqrt(v_x^2 / s_x^2 + v_y^2 / s_y^2) / s      of every ray
+    minimise  sum rho(t),    t = sqrt(v_x^2 / s_x^2 + v_y^2 / s_y^2) / s      of each ray
     weight    w(t) = rho'(t) / t                                              of the next least-squares adjustment
 
-s is the rays' own standard deviation of unit weight, free of gross errors: the median of t over that of the length of
-a normal vector, in the plane sqrt(2 ln 2), and over the square root of the mean redundancy number, since residuals are
-smaller than errors. Weight functions that forget large residuals altogether have many minima: they start from Huber's.
+s is a robust standard deviation of unit weight of the rays: the median of t, divided by the median length of a standard
+normal vector (sqrt(2 ln 2) in the plane) and by the square root of the mean redundancy number, since residuals are
+smaller than errors. Weight functions that give large residuals no influence have many minima: they start from Huber's.
 """
 
 import dataclasses
@@ -23,25 +23,25 @@ from jaxbundle.numerics.host import on_device
 from jaxbundle.solve.adjustment import Adjustment, Reweighting, Status
 from jaxbundle.solve.weight_functions import AbstractWeightFunction, Huber, with_weights
 
-SETTLED = 1e-4  # change of a weight below which the weights are at rest
-MOST_ROUNDS = 50
-FAILED_ROUNDS = 2  # in a row whose adjustment does not converge: one may start far off, of two the next is no better
+SETTLED = 1e-4  # maximum change of a converged weight
+MAX_ROUNDS = 50
+FAILED_ROUNDS = 2  # successive failed adjustments: one may have a distant start, after two the next is not better
 
 
 class Solve(NamedTuple):
-    """How a block is adjusted between two changes of its weights, and how at last."""
+    """The functions for the adjustments between two changes of the weights, and for the last one."""
 
     quickly: Callable[[Block], Adjustment]
     fully: Callable[[Block], Adjustment]
 
 
 def adjust_robustly(block: Block, function: AbstractWeightFunction, solve: Solve) -> Adjustment:
-    """The adjustment with the weights that its own residuals ask for; sigmas stay as they are given.
+    """Adjusts with weights that follow from the residuals; the given sigmas are not changed.
 
     Raises: ValueError under tracing.
     """
     if not block.concrete:
-        raise ValueError("robust estimation chooses its weights outside of jit, grad and vmap")
+        raise ValueError("robust estimation does not work inside jit, grad and vmap")
     end = _rounds(block, function, solve)
     last = end.adjustment
     if last.status is not Status.INTERRUPTED:
@@ -60,7 +60,7 @@ def adjust_robustly(block: Block, function: AbstractWeightFunction, solve: Solve
 
 
 class _End(NamedTuple):
-    """How the rounds ended: the last adjustment. `failed`: the last ones that did not converge."""
+    """The end of the rounds: the last adjustment. `failed`: the last adjustments, if they did not converge."""
 
     adjustment: Adjustment
     weights: np.ndarray
@@ -70,14 +70,14 @@ class _End(NamedTuple):
 
 
 def _rounds(block: Block, function: AbstractWeightFunction, solve: Solve) -> _End:
-    """Weights and adjustments by turns, until the weights settle or the adjustments do not converge any more."""
+    """Alternates weights and adjustments until the weights converge or the adjustments fail."""
     sigmas = np.asarray(block.rays.sigmas)
     weights, rounds, settled, failed = np.ones(len(sigmas)), 0, False, []
     start = solve.quickly(block)
     first = Huber() if function.redescending else function
     try:
         for now in dict.fromkeys((first, function)):
-            for _ in range(MOST_ROUNDS):
+            for _ in range(MAX_ROUNDS):
                 if start.status is Status.INTERRUPTED:
                     return _End(start, weights, rounds, False, [])
                 rounds += 1
@@ -92,7 +92,7 @@ def _rounds(block: Block, function: AbstractWeightFunction, solve: Solve) -> _En
                     return _End(start, weights, rounds, False, failed)
                 if settled:
                     break
-    except KeyboardInterrupt:  # in a solve that accepted nothing: the one before it is kept
+    except KeyboardInterrupt:  # in a solve without an accepted step: the previous one is used
         return _End(_interrupted(start), weights, rounds, False, [])
     return _End(start, weights, rounds, settled, [])
 
@@ -102,24 +102,24 @@ def _interrupted(adjustment: Adjustment) -> Adjustment:
 
 
 def _given_up(end: _End) -> Finding:
-    """The reason why the weights did not settle."""
+    """The finding about weights that did not converge."""
     return Finding(
         Kind.UNSETTLED,
-        f"the robust weights did not settle: in round {end.rounds} the adjustment {end.failed[-1].words}",
-        "cure first what keeps the adjustment without robust weights from converging",
+        f"the robust weights did not converge: in round {end.rounds} the adjustment {end.failed[-1].words}",
+        "first cure the problem of the adjustment without robust weights",
         (Subject("rays"),),
     )
 
 
 def normed_lengths(adjustment: Adjustment, sigmas: np.ndarray, weights: np.ndarray) -> Float[np.ndarray, " ray"]:
-    """t of every ray; the scale comes from the rays that have a weight."""
+    """Computes t of each ray; the scale comes from the rays that have a weight."""
     t = np.linalg.norm(np.asarray(adjustment.residuals[0]) / sigmas, axis=1)
-    redundancy = np.clip(adjustment.redundancy / adjustment.observations, 0.05, 1.0)
+    redundancy = np.clip(adjustment.redundancy / adjustment.n_observations, 0.05, 1.0)
     scale = np.median(t[weights > 0.01] if (weights > 0.01).any() else t) / np.sqrt(redundancy)
     scale /= median_length(sigmas.shape[1])
     return t / max(scale, np.finfo(float).tiny)
 
 
 def median_length(components: int) -> float:
-    """Median of the length of a vector of so many standard normal numbers, sqrt(2 ln 2) of two."""
+    """Median length of a vector with n standard normal components; sqrt(2 ln 2) for n = 2."""
     return float(np.sqrt(2 * gammaincinv(components / 2, 0.5)))

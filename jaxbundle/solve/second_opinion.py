@@ -1,12 +1,12 @@
-"""The second opinion: jaxopt's dense Gauss-Newton and Levenberg-Marquardt on small blocks.
+"""An independent solver for small blocks: jaxopt's dense Gauss-Newton and Levenberg-Marquardt.
 
-Nothing is eliminated here. All free corrections stand in one vector x, scaled by the columns of the design matrix A at
-the unknowns they start from, so that the columns have length 1 there:
+No unknowns are eliminated. All free corrections form one vector x, scaled by the columns of the design matrix A at the
+unknowns of the start, so that these columns have length 1:
 
     v(x) = v(unknowns + x / |columns of A|)           weighted residuals
 
-As corrections hold small angles, they are applied after a few steps and the next round starts from 0. jaxopt does not
-judge whether a round has converged: a dense Gauss-Newton step from the unknowns it reached must meet the stopping rule.
+As corrections contain small angles, they are applied after a few steps, and the next round starts from 0. jaxopt does
+not decide whether a round has converged: a dense Gauss-Newton step from its result must meet the stopping rule.
 """
 
 from typing import Any, NamedTuple
@@ -36,7 +36,7 @@ from jaxbundle.solve.history import empty_history
 from jaxbundle.solve.stopping_rules import AbstractStoppingRule, StepTaken
 
 STEPS_A_ROUND = 10
-AT_REST = 1e-12  # of |v|: a round ends where its gradient or its step, in units of v, is that small
+AT_REST = 1e-12  # share of |v|: a round ends where its gradient or its step, in units of v, is smaller
 
 
 class Arguments(NamedTuple):
@@ -47,10 +47,10 @@ class Arguments(NamedTuple):
 
 
 class FullStep(NamedTuple):
-    """A dense Gauss-Newton step and the lengths of the columns it is scaled by.
+    """A dense Gauss-Newton step and the lengths of the columns that scale it.
 
-    `measure` is the stopping rule's number of the step; `met`: within the rule's limit, or beyond what jaxopt can see;
-    `angle`: |J d| / |v|.
+    `measure`: value of the stopping rule for the step; `met`: whether it is within the limit, or below the resolution
+    of jaxopt; `angle`: |J d| / |v|.
     """
 
     x: Float[Array, " free"]
@@ -66,13 +66,13 @@ def solve(unknowns: Unknowns, args: Arguments, method: str, max_iterations: int)
     Raises: ValueError for a large block, and under tracing.
     """
     if any(isinstance(leaf, Tracer) for leaf in jax.tree.leaves((unknowns, args))):
-        raise ValueError('engine "jaxopt" works outside of jit, grad and vmap; there take engine "block"')
+        raise ValueError('engine "jaxopt" does not work inside jit, grad and vmap; use engine "block" there')
     o = args.observations
     free = jnp.asarray(free_numbers(o))
     if len(free) > MAX_UNKNOWNS:
         raise ValueError(
-            f'engine "jaxopt" keeps a dense Jacobian and takes {MAX_UNKNOWNS} unknowns at most, the block has'
-            f' {len(free)}; take engine "block"'
+            f'engine "jaxopt" uses a dense Jacobian and is limited to {MAX_UNKNOWNS} unknowns; the block has'
+            f' {len(free)}; use engine "block"'
         )
     initial, status, trials, accepted = _cost(unknowns, o), Status.MAXIMUM_ITERATIONS, 0, 0
     full = _full_step(unknowns, args, free)
@@ -92,7 +92,10 @@ def solve(unknowns: Unknowns, args: Arguments, method: str, max_iterations: int)
         elif not moved:
             status = Status.STALLED
     code, trials, accepted = jnp.asarray(int(status)), jnp.asarray(trials), jnp.asarray(accepted)
-    costs, history = (initial, _cost(unknowns, o)), empty_history(max_iterations)  # jaxopt tells rounds, not iterations
+    costs, history = (
+        (initial, _cost(unknowns, o)),
+        empty_history(max_iterations),
+    )  # jaxopt reports rounds, not iterations
     return unknowns, Iterations(code, trials, accepted, *costs, full.measure, full.angle, history)
 
 
@@ -121,7 +124,7 @@ def _round(
     method: str,
     steps: Int[Array, ""],
 ) -> tuple[Float[Array, " free"], Int[Array, ""], Int[Array, ""]]:
-    """Some steps of jaxopt's solver: scaled corrections, how many steps were made, and how many changed them."""
+    """Some steps of jaxopt's solver: scaled corrections, number of steps, and number of steps that changed them."""
 
     def residuals(x: Float[Array, " free"]) -> Float[Array, " observation"]:
         return _residuals(_moved(unknowns, o, free, x / scale), o)
@@ -156,12 +159,12 @@ def _full_step(unknowns: Unknowns, args: Arguments, free: Int[Array, " free"]) -
     length = jnp.linalg.norm(design, axis=0)
     scale = jnp.where(length > 0, length, 1.0)
     q, r = jnp.linalg.qr(design / scale)
-    tangential = q.T @ v  # as long as A d
+    tangential = q.T @ v  # same length as A d
     x = -solve_triangular(r, tangential)
-    # rounding of the image coordinates: no step can be told from 0 below it
+    # rounding of the image coordinates: shorter steps cannot be distinguished from 0
     noise = jnp.sum((4 * jnp.finfo(v.dtype).eps * o.coordinates * o.weights) ** 2)
     angle_squared = jnp.maximum(jnp.sum(tangential**2) - noise, 0.0) / jnp.sum(v**2)
     measure = rule.measure(StepTaken(unknowns, _moved(unknowns, o, free, x / scale), angle_squared, o))
-    # jaxopt subtracts two sums of squares: what a step would change in their last digits it cannot see
+    # jaxopt subtracts two sums of squares: it cannot detect changes in their last digits
     at_floor = angle_squared <= 16 * jnp.finfo(v.dtype).eps
     return FullStep(x, scale, measure, (measure <= rule.limit) | at_floor, jnp.sqrt(angle_squared))

@@ -1,4 +1,4 @@
-"""Undetermined similarity transformations in words: of the whole block as a defect of its datum, of parts as parts."""
+"""Findings about undetermined similarity transformations: of the whole block (datum defect), and of its parts."""
 
 from typing import NamedTuple
 
@@ -12,14 +12,14 @@ from jaxbundle.block.parts import Part
 from jaxbundle.block.similarity_defect import SimilarityDefect, displacements, similarity_defect
 from jaxbundle.block.wording import NAMED, counted, named
 
-MOVES = 1e-6  # of the largest coefficient: below, a part rests
-AT_REST = 1e-6  # of the radius: a place on the axis of a rotation
+MOVES = 1e-6  # share of the maximum coefficient: below this a part is at rest
+AT_REST = 1e-6  # share of the radius: distance of a position on the axis of a rotation
 
 
 class Gauge(NamedTuple):
-    """Transformations that no observation notices, in columns: (t, r, m) of the whole block, and of every part.
+    """Undetermined transformations as columns: (t, r, m) of the whole block, and of each part.
 
-    t is in units of `radius`, and all are about `origin`.
+    t is in units of `radius`, and all refer to `origin`.
     """
 
     whole: Float[np.ndarray, "7 direction"]
@@ -30,7 +30,7 @@ class Gauge(NamedTuple):
 
 
 def gauge_findings(block: Block, gauge: Gauge) -> list[Finding]:
-    """One finding for the datum of the block, one for its parts; none where all is determined."""
+    """One finding for the datum of the block, one for its parts; none where everything is determined."""
     if len(gauge.by_part) > 1:
         return [_parts(block.structure, gauge)]
     if not gauge.whole.shape[1]:
@@ -50,14 +50,14 @@ def gauge_findings(block: Block, gauge: Gauge) -> list[Finding]:
         Finding(
             Kind.UNDETERMINED,
             f"control and observed stations do not determine {what}",
-            "add control, or observed stations, away from those that are there",
+            "add control, or observed stations, away from the existing ones",
             subjects,
         )
     ]
 
 
 def _parts(structure: Structure, gauge: Gauge) -> Finding:
-    """The parts with their images, and what is not determined of each against the others."""
+    """The finding about parts: their images, and the undetermined transformations relative to the others."""
     largest = max(float(np.abs(c).max(initial=0.0)) for c in gauge.by_part)
     described, open_parts, subjects = [], [], []
     for number, (part, coefficients) in enumerate(zip(gauge.parts, gauge.by_part, strict=True), 1):
@@ -74,10 +74,10 @@ def _parts(structure: Structure, gauge: Gauge) -> Finding:
     )
     what = (
         f"the block consists of {len(gauge.parts)} parts {link}: {'; '.join(described[:NAMED])}"
-        f"{'; ...' if len(described) > NAMED else ''}. Against the rest the observations do not determine"
+        f"{'; ...' if len(described) > NAMED else ''}. Relative to the rest the observations do not determine"
         f" {'; '.join(open_parts[:NAMED])}"
     )
-    cure = "measure three or more well spread points common to the parts, or give each part control of its own"
+    cure = "measure three or more well spread points common to the parts, or give each part its own control"
     return Finding(Kind.PARTS, what, cure, tuple(subjects))
 
 
@@ -86,6 +86,6 @@ def _images(names: list[str]) -> str:
 
 
 def orthonormal(columns: Float[np.ndarray, "7 direction"]) -> Float[np.ndarray, "7 k"]:
-    """Orthonormal columns that span the same space."""
+    """Orthonormal columns that span the same space as the given ones."""
     left, size, _ = np.linalg.svd(columns, full_matrices=False)
     return left[:, size > 1e-6 * size.max(initial=0.0)]

@@ -1,4 +1,4 @@
-"""How the iterations of an adjustment ended."""
+"""The status of an adjustment: the end of its iterations."""
 
 from enum import IntEnum
 
@@ -8,7 +8,7 @@ from jaxtyping import Array, Int
 
 
 class Status(IntEnum):
-    """How the iterations ended."""
+    """Status of the iterations at their end."""
 
     MAXIMUM_ITERATIONS = 0
     CONVERGED = 1
@@ -20,18 +20,18 @@ class Status(IntEnum):
 
     @property
     def words(self) -> str:
-        """The status as a sentence's end."""
+        """The status as the end of a sentence."""
         return {
             Status.CONVERGED: "converged",
-            Status.MAXIMUM_ITERATIONS: "ended at the maximum number of iterations, not converged",
-            Status.SINGULAR: "ended at a singular normal matrix, not converged",
+            Status.MAXIMUM_ITERATIONS: "stopped at the maximum number of iterations (not converged)",
+            Status.SINGULAR: "stopped at a singular normal matrix (not converged)",
             Status.DIVERGED: "diverged",
-            Status.STALLED: "ended where no step reduces the residuals any more, not converged",
+            Status.STALLED: "stopped because no step reduces the residuals further (not converged)",
             Status.CREEPING: (
-                "ended where unknowns that are hardly determined still move and the residuals no longer change,"
-                " not converged"
+                "stopped because only hardly determined unknowns still change, without an effect on the residuals"
+                " (not converged)"
             ),
-            Status.INTERRUPTED: "was interrupted, not converged: the last accepted unknowns are kept",
+            Status.INTERRUPTED: "was interrupted (not converged) and has the last accepted unknowns",
         }[self]
 
 
@@ -45,7 +45,7 @@ OF_RESULTS = (
 
 
 def status_of(result: optx.RESULTS) -> Int[Array, ""]:
-    """The status by the result of a solve with optimistix; whatever else went wrong there has diverged."""
+    """The status for a result of optimistix; any other failure means "diverged"."""
     status = jnp.asarray(int(Status.DIVERGED))
     for known, number in OF_RESULTS:
         status = jnp.where(result == known, int(number), status)

@@ -1,9 +1,9 @@
-"""Stopping rules, by name. The textbook (166) names three; the fourth is modern practice and the default.
+"""Stopping rules, by name. Text 000 (166) has three; the fourth is modern practice and the default.
 
 angle      |J d| <= tolerance |v|: the angle between the residuals and the tangent plane. Free of units
-points     the largest change of a coordinate of an object point < delta
-parallax   the largest remaining y-parallax of the stereo pairs no longer falls by more than delta
-unknown    the largest change of the named unknowns < delta, each in its own unit
+points     the maximum change of a coordinate of an object point < delta
+parallax   the maximum remaining y-parallax of the stereo pairs decreases by less than delta unknown    the maximum
+change of the named unknowns < delta, each in its unit
 """
 
 import abc
@@ -24,9 +24,9 @@ from jaxbundle.normals.plan.elimination_plan import Order
 
 
 class StepTaken(NamedTuple):
-    """What a rule may look at: the unknowns before and after an accepted step, and (|J d| / |v|)^2.
+    """Input of a rule: the unknowns before and after an accepted step, and (|J d| / |v|)^2.
 
-    J d is taken as what the step changed v by, which it is near the minimum.
+    J d is the change of v by the step, which is exact only near the minimum.
     """
 
     before: Unknowns
@@ -36,29 +36,29 @@ class StepTaken(NamedTuple):
 
 
 class AbstractStoppingRule(eqx.Module):
-    """A rule measures an accepted step; the solve ends where the measure falls to the limit or below.
+    """Base class of stopping rules: the solve ends when the measure of an accepted step is at most the limit.
 
-    A rule belongs to no block. What it needs of one, such as who sees what, `of` puts in before a solve.
+    A rule does not depend on a block. `of` adds the required data of a block before a solve.
     """
 
     name: ClassVar[str]
     limit: eqx.AbstractVar[float]
 
     def of(self, block: Block) -> "AbstractStoppingRule":
-        """The rule for one block, with what it needs of it."""
+        """The rule with the required data of one block."""
         return self
 
     @abc.abstractmethod
     def measure(self, step: StepTaken) -> Float[Array, ""]:
-        """The number that is held against the limit."""
+        """The number that is compared with the limit."""
 
     def arranged(self, order: Order) -> "AbstractStoppingRule":
-        """The rule for unknowns in another order than the block's."""
+        """The rule for unknowns in elimination order."""
         return self
 
 
 class AngleRule(AbstractStoppingRule):
-    """|J d| <= limit |v|, after Boerlin & Grussenmeyer (2013): |J d| is what a step still moves the residuals."""
+    """Rule |J d| <= limit |v| (Boerlin & Grussenmeyer 2013); |J d| is the change of the residuals by the step."""
 
     name: ClassVar[str] = "angle"
     limit: float = eqx.field(static=True, converter=float, default=1e-8)
@@ -68,7 +68,7 @@ class AngleRule(AbstractStoppingRule):
 
 
 class PointRule(AbstractStoppingRule):
-    """Largest change of a coordinate of an object point, object unit."""
+    """Rule for the maximum change of a coordinate of an object point, object unit."""
 
     limit: float = eqx.field(static=True, converter=float)
     name: ClassVar[str] = "points"
@@ -78,7 +78,7 @@ class PointRule(AbstractStoppingRule):
 
 
 class StereoPairs(eqx.Module):
-    """Rays of the same point on two images."""
+    """Indices of rays of the same point on two images."""
 
     first_ray: Int[Array, " pair"]
     second_ray: Int[Array, " pair"]
@@ -86,9 +86,9 @@ class StereoPairs(eqx.Module):
 
 
 class ParallaxRule(AbstractStoppingRule):
-    """Fall of the largest y-parallax of all stereo pairs, in units of the principal distance.
+    """Rule for the decrease of the maximum y-parallax of all stereo pairs, in units of the principal distance.
 
-    The pairs are successive images of each point: their rays are known once the rule is that of a block.
+    The pairs are successive images of each point; `of` finds their rays in a block.
     """
 
     limit: float = eqx.field(static=True, converter=float)
@@ -99,7 +99,7 @@ class ParallaxRule(AbstractStoppingRule):
         structure = block.structure
         order = np.lexsort((structure.ray_image, structure.ray_point))
         image, point = structure.ray_image[order], structure.ray_point[order]
-        # a point measured twice on an image has no base there
+        # two rays of a point on the same image have no base
         same = (point[1:] == point[:-1]) & (image[1:] != image[:-1])
         first, second = jnp.asarray(order[:-1][same]), jnp.asarray(order[1:][same])
         return ParallaxRule(self.limit, StereoPairs(first, second, observations_of(block)))
@@ -122,22 +122,22 @@ class ParallaxRule(AbstractStoppingRule):
         return eqx.tree_at(lambda r: r.pairs.rays, self, where)
 
     def parallax(self, unknowns: Unknowns) -> Float[Array, " pair"]:
-        """y-parallax y' - y'' of each pair, its photographs turned into the normal case along their base."""
-        assert self.pairs is not None, "a rule looks at the rays of one block: rule.of(block)"
+        """y-parallax y' - y'' of each pair, with photographs rotated to the normal case along their base."""
+        assert self.pairs is not None, "a rule needs the rays of one block: call rule.of(block)"
         first, second = self.pairs.first_ray, self.pairs.second_ray
         directions, centres = measured_directions(unknowns, self.pairs.rays)
         u, w = directions[:, first], directions[:, second]
         base = centres[:, second] - centres[:, first]
         base = base / jnp.sqrt(jnp.sum(base**2, 0))
         mean = u + w
-        depth = mean - base * jnp.sum(mean * base, 0)  # normal case: depth at right angles to the base
+        depth = mean - base * jnp.sum(mean * base, 0)  # normal case: depth orthogonal to the base
         depth = depth / jnp.sqrt(jnp.sum(depth**2, 0))
         across = jnp.cross(depth, base, axis=0)
         return jnp.sum(u * across, 0) / jnp.sum(u * depth, 0) - jnp.sum(w * across, 0) / jnp.sum(w * depth, 0)
 
 
 class ChosenUnknowns(eqx.Module):
-    """Which unknowns are looked at."""
+    """Masks of the unknowns of a rule."""
 
     exterior: Bool[Array, "6 image"]
     interior: Bool[Array, "element camera"]
@@ -145,8 +145,10 @@ class ChosenUnknowns(eqx.Module):
 
 
 class UnknownRule(AbstractStoppingRule):
-    """Largest change of the unknowns called `names`, of all where there are none; each in its own unit (angles in
-    radians). A block that has lost some of them, as a point with its last ray, is judged by the others."""
+    """Rule for the maximum change of the unknowns `names`, or of all, each in its unit (angles in radians).
+
+    If a block no longer has some of them, such as a point without rays, the others are used.
+    """
 
     limit: float = eqx.field(static=True, converter=float)
     names: tuple[tuple[str, str], ...] = eqx.field(static=True, default=())
@@ -175,7 +177,7 @@ class UnknownRule(AbstractStoppingRule):
         return UnknownRule(self.limit, (), ChosenUnknowns(*masks))
 
     def measure(self, step: StepTaken) -> Float[Array, ""]:
-        assert self.chosen is not None, "a rule looks at the unknowns of one block: rule.of(block)"
+        assert self.chosen is not None, "a rule needs the unknowns of one block: call rule.of(block)"
         system = step.observations.system
         old, new = (jnp.stack(system.angles_from_rotation(tuple(u.rotation))) for u in (step.before, step.after))
         turned = jnp.arctan2(jnp.sin(new - old), jnp.cos(new - old))
@@ -193,8 +195,8 @@ def measured_directions(
 ) -> tuple[Float[Array, "3 ray"], Float[Array, "3 ray"]]:
     """Directions of the measured image points in the object system, and their projection centres.
 
-    The measured direction is the computed one less the residual at image scale: exact for models that correct the
-    measurement, of first order in the residual for those that distort the projection.
+    The measured direction is the computed one minus the residual at image scale: exact for models that correct the
+    measurement, of first order in the residual for models that distort the projection.
     """
     image = observations.ray_image
     turn, centre = tuple(unknowns.rotation[:, image]), tuple(unknowns.centre[:, image])
@@ -217,9 +219,9 @@ def parallax_rule(block: Block, delta: float) -> ParallaxRule:
 
 
 def unknown_rule(block: Block, delta: float, *names: tuple[str, str]) -> UnknownRule:
-    """The rule for unknowns named ("image", "X0"), ("camera", "K1") or ("point", "Z"); without names, for all.
+    """Returns the rule for unknowns with names ("image", "X0"), ("camera", "K1") or ("point", "Z"), or for all.
 
-    Raises: ValueError naming what is not in the block.
+    Raises: ValueError for a name that is not in the block.
     """
     require_a(Block, block, "stopping.unknown_rule")
     for name in names:

@@ -1,12 +1,13 @@
-"""What the observations leave undetermined: points, parts of the block, unknowns, each as one finding.
+"""Findings about undetermined points, parts of the block, and other unknowns.
 
-A direction in which the unknowns can move without any observation noticing is looked for in three steps. Points: by the
-pivots of their own 3 x 3 equations. Similarity transformations of the whole block, or of a part of it: by
+Directions of the unknowns without an effect on the observations are searched for in three steps. Points: by the pivots
+of their 3 x 3 equations. Similarity transformations of the whole block, or of a part of it: by
 
-    c^T G^T S G c / c^T G^T D G c        G: such transformations of every part; S reduced equations, D = diag(N)
+    c^T G^T S G c / c^T G^T D G c        G: such transformations of each part; S reduced equations, D = diag(N)
 
-The rest: by the eigenvectors of S, scaled to the unit diagonal of N. The first and the last depend on where the
-unknowns are, so they are told of a minimum only; a similarity transformation leaves all rays alone anywhere.
+Other directions: by the eigenvectors of S, scaled to the unit diagonal of N. The first and the last step depend
+on the values of the unknowns, so they are reported only at a minimum; a similarity transformation never changes the
+rays.
 """
 
 from typing import NamedTuple
@@ -30,28 +31,28 @@ from jaxbundle.numerics.shapes import grid_size
 from jaxbundle.solve.free_network import similarities
 from jaxbundle.solve.similarity_findings import Gauge, gauge_findings
 
-MOST_NAMED = 3000  # kept unknowns; beyond, only where the factorisation failed is told
-HELD = 1e-8  # of a transformation's length: what moves a held unknown
-RANK = 1e-10  # of the largest: transformations that are combinations of others, as the scale of a single image
-TOGETHER = 1e-3  # element of the projector on the null space: below, two unknowns have nothing to do with each other
-TAKES_PART = 0.3  # of the largest one in a direction: unknowns that are named
+MAX_NAMED = 3000  # unknowns of the reduced equations; above this, only the place of a failed factorisation is reported
+HELD = 1e-8  # share of a transformation's length that changes a fixed unknown
+RANK = 1e-10  # share of the maximum: smaller ones are combinations of others, such as the scale of a single image
+TOGETHER = 1e-3  # element of the projector on the null space: below this two unknowns are independent
+TAKES_PART = 0.3  # share of the maximum in a direction: larger unknowns are named
 CURES = {
     "image": "measure more and better spread points on the image, or add control",
-    "camera": "hold the element, give control in relief, or add convergent and turned images",
-    "parameter": "hold it, give it a prior value with a sigma, or observe more of what it acts on",
-    "point": "measure the point on one more image from elsewhere, give it coordinates or drop it",
+    "camera": "fix the element, add control in relief, or add convergent and rotated images",
+    "parameter": "fix it, give it a prior value with a sigma, or add observations that depend on it",
+    "point": "measure the point on one more image from a different position, give it coordinates or drop it",
 }
 
 
 class Undetermined(NamedTuple):
-    """The findings, and the number of directions that the observations do not determine."""
+    """The findings, and the number of undetermined directions."""
 
     findings: tuple[Finding, ...] = ()
     directions: int = 0
 
 
 class End(NamedTuple):
-    """Where an adjustment ended: the adjusted block; plan, observations and unknowns about `origin`."""
+    """The end of an adjustment: the adjusted block; plan, observations and unknowns relative to `origin`."""
 
     block: Block
     plan: EliminationPlan
@@ -61,7 +62,7 @@ class End(NamedTuple):
 
 
 class Scaled(NamedTuple):
-    """The reduced equations on the host; `root`: square roots of the diagonal of N, 0 for what is held."""
+    """The reduced equations on the host; `root`: square roots of the diagonal of N, 0 for fixed unknowns."""
 
     system: ReducedSystem
     pair: Int[np.ndarray, "pair 2"]
@@ -85,7 +86,7 @@ class Scaled(NamedTuple):
         return np.concatenate([out.reshape(images * d, -1), of_border])
 
     def _by_passes(self, x: Float[np.ndarray, "kept k"]) -> Float[np.ndarray, "kept k"]:
-        """S x where S is not formed: one pass through the tiles for each column."""
+        """Computes S x without forming S: one pass through the tiles for each column."""
         images, d = self.system.diagonal.shape
         padded = np.zeros((grid_size(x.shape[1]), len(x)))
         padded[: x.shape[1]] = x.T
@@ -97,13 +98,13 @@ class Scaled(NamedTuple):
         return both[: x.shape[1]].T
 
     def matrix(self) -> Float[np.ndarray, "kept kept"]:
-        """S scaled to the unit diagonal of N; held unknowns have a unit row."""
+        """The matrix S scaled to the unit diagonal of N; fixed unknowns have a unit row."""
         scale = np.where(self.root > 0, 1 / np.where(self.root > 0, self.root, 1.0), 0.0)
         return scale[:, None] * self.product(np.diag(scale)) + np.diag(np.where(self.root > 0, 0.0, 1.0))
 
 
 def undetermined(end: End, found: Inspection, converged: bool) -> Undetermined:
-    """What the observations leave undetermined; concrete values only."""
+    """The undetermined unknowns of a concrete adjustment."""
     structure, plan = end.block.structure, end.plan
     loose, loose_directions = _loose_points(structure, plan, found)
     kept = np.concatenate([np.asarray(found.image_pivots).ravel(), np.asarray(found.border_pivots)])
@@ -123,7 +124,7 @@ def undetermined(end: End, found: Inspection, converged: bool) -> Undetermined:
 
 
 def _loose_points(structure: Structure, plan: EliminationPlan, found: Inspection) -> tuple[tuple[Finding, ...], int]:
-    """Points that their own rays do not determine, one finding for all."""
+    """One finding for all points that their rays do not determine."""
     shares = np.ones(plan.order.points)
     shares[: plan.tile_points] = on_host(found.point_pivots).ravel()
     names = [structure.point_names[p] for p in np.nonzero(~(shares[plan.order.point] > WEAKEST_SHARE))[0]]
@@ -152,10 +153,10 @@ def _similarities(arranged: OrderedUnknowns, p: Problem) -> NormalVector:
 
 
 def _gauge(end: End, scaled: Scaled, converged: bool) -> tuple[Float[np.ndarray, "kept direction"], list[Finding]]:
-    """Similarity transformations of the block and of its parts that no observation notices, orthonormal and scaled."""
+    """Undetermined similarity transformations of the block and of its parts, orthonormal and scaled."""
     plan, parts = end.plan, parts_of(end.block.structure)
     if len(parts) == 1 and not converged:
-        return np.zeros((len(scaled.root), 0)), []  # control has been looked at before the start
+        return np.zeros((len(scaled.root), 0)), []  # control was checked before the start
     g = _similarities(end.arranged, end.problem, optimised=False)
     of_images, of_border = np.asarray(g.images), np.asarray(g.border)
     whole = np.concatenate([of_images.reshape(7, -1), of_border], 1).T
@@ -181,13 +182,15 @@ def _gauge(end: End, scaled: Scaled, converged: bool) -> tuple[Float[np.ndarray,
         return _orthonormal(scaled, whole, own, plan), gauge_findings(end.block, gauge)
     by_part = tuple(combined[7 * k : 7 * k + 7] for k in range(len(parts)))
     if end.block.structure.datum.kind in ("minimal", "inner"):
-        by_part = tuple(c - by_part[0] for c in by_part)  # what the parts do in common is the choice of the datum
+        by_part = tuple(
+            c - by_part[0] for c in by_part
+        )  # common transformations of the parts are the choice of the datum
     gauge = Gauge(own[:7], by_part, parts, end.origin, radius)
     return _orthonormal(scaled, both, combined, plan), gauge_findings(end.block, gauge)
 
 
 def _with_own(candidates: Float[np.ndarray, "kept k"], plan: EliminationPlan) -> Float[np.ndarray, "kept m"]:
-    """The candidates, and unit columns of what may follow them: parameters and kept points of the block."""
+    """The candidates, and unit columns of unknowns that may follow them: parameters and border points."""
     first = plan.layout.image * plan.order.images + plan.layout.first_parameter
     extra = np.zeros((len(candidates), len(candidates) - first))
     extra[first + np.arange(extra.shape[1]), np.arange(extra.shape[1])] = 1.0
@@ -197,7 +200,7 @@ def _with_own(candidates: Float[np.ndarray, "kept k"], plan: EliminationPlan) ->
 def _null_combinations(
     scaled: Scaled, candidates: Float[np.ndarray, "kept k"], plan: EliminationPlan
 ) -> Float[np.ndarray, "m direction"]:
-    """Coefficients of the candidates, and of what may follow them, that leave all observations alone."""
+    """Coefficients of the candidates, and of the unknowns that follow them, without an effect on the observations."""
     x = _with_own(candidates, plan)
     real = np.ones(len(x), bool)
     d, images = plan.layout.image, plan.order.images
@@ -234,15 +237,15 @@ def _orthonormal(
 def _others(
     structure: Structure, plan: EliminationPlan, scaled: Scaled, found: Inspection, gauge: Float[np.ndarray, "kept g"]
 ) -> tuple[list[Finding], int]:
-    """Directions beside those of similarity transformations, by the unknowns that move."""
-    names, count = kept_names(structure, plan), len(scaled.root)
+    """Undetermined directions other than similarity transformations, by the affected unknowns."""
+    names, count = reduced_names(structure, plan), len(scaled.root)
     if found.softest is not None:
         direction = found.softest.direction
         vector = scaled.root * np.concatenate([np.asarray(direction.images).ravel(), np.asarray(direction.border)])
         vectors = (vector / np.linalg.norm(vector))[:, None]
         if not float(found.softest.share) <= WEAKEST_SHARE:
             vectors = np.eye(count)[:, _failed(found)]
-    elif count > MOST_NAMED:
+    elif count > MAX_NAMED:
         vectors = np.eye(count)[:, _failed(found)[:1]] if not gauge.shape[1] else np.zeros((count, 0))
     else:
         matrix = scaled.matrix()
@@ -252,7 +255,7 @@ def _others(
         vectors = vectors[:, values <= WEAKEST_SHARE]
     rest = vectors - gauge @ (gauge.T @ vectors)
     left, size, _ = np.linalg.svd(rest, full_matrices=False)
-    left = left[:, size > 0.1]  # a null vector is in the span of the others or, but for rounding, at right angles
+    left = left[:, size > 0.1]  # a null vector is in the span of the others or, up to rounding, orthogonal to it
     return _by_cause(left, names), left.shape[1]
 
 
@@ -262,7 +265,7 @@ def _failed(found: Inspection) -> Int[np.ndarray, " failed"]:
 
 
 def _by_cause(null: Float[np.ndarray, "kept direction"], names: dict[int, tuple[str, str, str]]) -> list[Finding]:
-    """One finding for each set of unknowns that move together, whatever basis the null space is given in."""
+    """One finding for each set of unknowns that change together, independent of the basis of the null space."""
     moved = np.linalg.norm(null, axis=1)
     rows = np.array([k for k in np.flatnonzero(moved > TOGETHER) if k in names], int)
     if not len(rows):
@@ -282,8 +285,8 @@ def _by_cause(null: Float[np.ndarray, "kept direction"], names: dict[int, tuple[
     return found
 
 
-def kept_names(structure: Structure, a: EliminationPlan) -> dict[int, tuple[str, str, str]]:
-    """Kind of entity, its name and the element of every kept unknown, by its row in the order of elimination."""
+def reduced_names(structure: Structure, a: EliminationPlan) -> dict[int, tuple[str, str, str]]:
+    """Kind of entity, name and element of each unknown of the reduced equations, in elimination order."""
     names = {}
     d, q = a.layout.image, len(structure.interior_columns)
     border = d * a.order.images

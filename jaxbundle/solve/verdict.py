@@ -1,12 +1,12 @@
-"""The verdict on an adjustment: what forbids its use, whatever its residuals say.
+"""The verdict on an adjustment: problems that forbid its use, independent of its residuals.
 
-    behind the cameras   the image equation holds for lines, not for rays: its mirrored solutions fit as well
+    behind the cameras   the image equation is valid for lines, not for rays: mirrored solutions fit as well
     below the terrain    a camera that looks down and lies below the points it sees
     not converged        by the status of the iterations
-    sigma0               residuals so far beyond their sigmas that no statement about precision is left
+    sigma0               residuals so much larger than their sigmas that statements about precision are meaningless
 
-Everything here is looked at on the host, from the adjusted values alone, so that an adjustment without standard
-deviations is judged with the same care.
+All checks run on the host and use only adjusted values, so an adjustment without standard deviations is checked
+in the same way.
 """
 
 import dataclasses
@@ -19,18 +19,18 @@ from jaxbundle.block.depths import behind, viewing_directions
 from jaxbundle.block.findings import Finding, Kind, Severity, Subject, in_order
 from jaxbundle.solve.adjustment import Adjustment, Status
 
-NAMED = 5  # examples in one sentence
+NAMED = 5  # maximum number of examples in one sentence
 FEW_BEHIND = 0.002  # share of the rays: Ladybug-49 of the BAL data has 31 of 31 843 behind their cameras
-MANY_BEHIND = 0.01  # beyond, more than single points are wrong
+MANY_BEHIND = 0.01  # share of the rays: above this more than single points are wrong
 MIRRORED = 0.9  # share of the rays: the block as a whole is on the wrong side
 VERTICAL = 0.7  # cosine: cameras whose axis is within 45 degrees of the vertical
-BEYOND_USE = 10.0  # sigma0: sigmas are ten times wrong only where a unit or the model of the block is
+BEYOND_USE = 10.0  # sigma0: sigmas are wrong by a factor of ten only if a unit or the model of the block is wrong
 CURES = {
     Status.MAXIMUM_ITERATIONS: "allow more iterations, or give better approximate values",
-    Status.SINGULAR: "hold what the observations do not determine, or use the Levenberg-Marquardt method",
+    Status.SINGULAR: "fix the undetermined unknowns, or use the Levenberg-Marquardt method",
     Status.DIVERGED: "give better approximate values, or use the Levenberg-Marquardt method",
-    Status.STALLED: "look for gross errors and for unknowns that are hardly determined",
-    Status.CREEPING: "look which standard deviations are large, and observe or hold what they belong to",
+    Status.STALLED: "search for gross errors and for hardly determined unknowns",
+    Status.CREEPING: "find the unknowns with large standard deviations, and fix them or add observations",
     Status.INTERRUPTED: "start again from the adjusted values",
 }
 SIDE = (
@@ -40,7 +40,7 @@ SIDE = (
 
 
 def with_verdict(adjustment: Adjustment) -> Adjustment:
-    """A concrete adjustment with what forbids its use among its findings."""
+    """A concrete adjustment with additional findings that forbid its use."""
     found = [*adjustment.findings, *_status(adjustment), *_sides(adjustment.block), *_sigma0(adjustment)]
     return dataclasses.replace(adjustment, findings=in_order(found))
 
@@ -56,13 +56,15 @@ def _sigma0(adjustment: Adjustment) -> list[Finding]:
     sigma0 = float(adjustment.sigma0)
     if not sigma0 > BEYOND_USE:
         return []
-    what = f"sigma0 is {sigma0:.4g}: the residuals are on average {sigma0:.3g} times as large as their sigmas"
-    cure = "check units and sigmas, then look for gross errors; no standard deviation of this result means anything"
+    what = f"sigma0 is {sigma0:.4g}: the residuals are on average {sigma0:.3g} times their sigmas"
+    cure = (
+        "check units and sigmas, then search for gross errors; the standard deviations of this result are meaningless"
+    )
     return [Finding(Kind.SIGMA0, what, cure, size=sigma0)]
 
 
 def _sides(block: Block) -> list[Finding]:
-    """Points behind cameras and stations below the terrain."""
+    """Findings about points behind cameras and stations below the terrain."""
     wrong = behind(block)
     if not wrong.any():
         return []
@@ -82,7 +84,7 @@ def _sides(block: Block) -> list[Finding]:
 
 
 def _images(block: Block, wrong: Bool[np.ndarray, " ray"]) -> tuple[Subject, ...]:
-    """Images with rays whose point lies behind, those with the largest share first."""
+    """Images with points behind them, in decreasing order of the share of rays."""
     structure = block.structure
     count = len(structure.image_names)
     bad, rays = (
@@ -101,14 +103,16 @@ def _single_points(block: Block, wrong: Bool[np.ndarray, " ray"], share: float) 
     listed = ", ".join(subject.names[0] for subject in subjects[:NAMED])
     more = f" and {len(points) - NAMED} more" if len(points) > NAMED else ""
     what = f"{int(wrong.sum())} of {len(wrong)} rays have their point behind the camera: points {listed}{more}"
-    cure = "their coordinates are not usable: measure them on images from elsewhere, correct their rays or drop them"
+    cure = (
+        "their coordinates are not usable: measure them on images from other positions, correct their rays or drop them"
+    )
     return Finding(
         Kind.BEHIND, what, cure, subjects, len(points), grade=Severity.NOTE if share <= FEW_BEHIND else Severity.CHECK
     )
 
 
 def _below(block: Block) -> list[Finding]:
-    """Cameras that look down from below the points they see."""
+    """The finding about cameras that look down but are below their points."""
     structure = block.structure
     heights = np.asarray(block.exterior.projection_centre)[:, 2]
     terrain = _terrain(block)
@@ -120,7 +124,7 @@ def _below(block: Block) -> list[Finding]:
     subjects = tuple(Subject("images", (structure.image_names[i],), "Z0") for i in order)
     unit = structure.object_unit
     what = (
-        f"{int(below.sum())} of {len(below)} stations lie below the points they look down on, image"
+        f"{int(below.sum())} of {len(below)} stations lie below the points that they look down on, image"
         f" {structure.image_names[order[0]]} by {depth[order[0]]:.4g} {unit}"
     )
     cure = "check the sign of the heights and the direction of the y axis of the image coordinates"
@@ -128,7 +132,7 @@ def _below(block: Block) -> list[Finding]:
 
 
 def _terrain(block: Block) -> Float[np.ndarray, " image"]:
-    """Median height of the points that each image sees; infinitely low where it sees none."""
+    """Median height of the points of each image; minus infinity for an image without points."""
     structure = block.structure
     order = np.lexsort((np.asarray(block.object_points)[structure.ray_point, 2], structure.ray_image))
     heights = np.asarray(block.object_points)[structure.ray_point[order], 2]

@@ -1,12 +1,12 @@
-"""Weight functions of robust estimation, and a block with the weights that they give.
+"""Weight functions of robust estimation, and a block with these weights.
 
-    Huber (1964)                w = 1 for t <= k, k / t beyond
+    Huber (1964)                w = 1 for t <= k, k / t above
     Cauchy                      w = 1 / (1 + (t / k)^2)
-    Tukey's biweight (1974)     w = (1 - (t / k)^2)^2 for t <= k, 0 beyond
-    Danish method               w = 1 for t <= k, exp(1 - (t / k)^2) beyond       after Krarup, Juhl & Kubik (1980)
+    Tukey's biweight (1974)     w = (1 - (t / k)^2)^2 for t <= k, 0 above
+    Danish method               w = 1 for t <= k, exp(1 - (t / k)^2) above       after Krarup, Juhl & Kubik (1980)
 
-t is the length of a ray's residual over its sigmas and over the scale of all of them. The last three forget large
-residuals altogether and have many minima.
+t is the length of a ray's residual over its sigmas and over the common scale. The last three give large residuals
+no influence and have many minima.
 """
 
 import abc
@@ -20,23 +20,23 @@ from jaxtyping import Array, Float
 from jaxbundle.block.block import Block
 from jaxbundle.numerics.host import on_device
 
-LEAST_WEIGHT = 1e-12  # of a ray without weight, in place of 0: its sigma stays a number
+MIN_WEIGHT = 1e-12  # weight of a down-weighted ray instead of 0: its sigma is then finite
 
 
 class AbstractWeightFunction(eqx.Module):
-    """A weight by the normed length of a ray's residual; `limit` is k."""
+    """Base class: a weight as a function of the standardised length of a ray's residual; `limit` is k."""
 
     name: ClassVar[str]
     limit: eqx.AbstractVar[float]
-    redescending: ClassVar[bool] = True  # large residuals lose their influence altogether
+    redescending: ClassVar[bool] = True  # large residuals have no influence
 
     @abc.abstractmethod
     def weights(self, t: Float[Array, " ray"]) -> Float[Array, " ray"]:
-        """Weights between 0 and 1."""
+        """Weights between 0 and 1 for standardised lengths."""
 
 
 class Huber(AbstractWeightFunction):
-    """The limit is exceeded by 5 % of errors that are normal in both coordinates."""
+    """Huber's weights; 5 % of errors that are normal in both coordinates exceed the limit."""
 
     name: ClassVar[str] = "huber"
     limit: float = eqx.field(static=True, converter=float, default=2.45)
@@ -47,7 +47,7 @@ class Huber(AbstractWeightFunction):
 
 
 class Cauchy(AbstractWeightFunction):
-    """95 % efficient for normal errors of one coordinate at 2.385 (Holland & Welsch 1977)."""
+    """Cauchy's weights; 95 % efficient for normal errors of one coordinate at 2.385 (Holland & Welsch 1977)."""
 
     name: ClassVar[str] = "cauchy"
     limit: float = eqx.field(static=True, converter=float, default=2.385)
@@ -57,7 +57,7 @@ class Cauchy(AbstractWeightFunction):
 
 
 class Tukey(AbstractWeightFunction):
-    """95 % efficient for normal errors of one coordinate at 4.685 (Holland & Welsch 1977); here wider, for two."""
+    """Tukey's biweight; 95 % efficient for normal errors of one coordinate at 4.685 (Holland & Welsch 1977)."""
 
     name: ClassVar[str] = "tukey"
     limit: float = eqx.field(static=True, converter=float, default=6.0)
@@ -67,7 +67,7 @@ class Tukey(AbstractWeightFunction):
 
 
 class Danish(AbstractWeightFunction):
-    """Nothing changes below the limit, which one normal error in ninety exceeds."""
+    """Weights of the Danish method; unchanged below the limit, which one normal error in ninety exceeds."""
 
     name: ClassVar[str] = "danish"
     limit: float = eqx.field(static=True, converter=float, default=3.0)
@@ -80,6 +80,6 @@ WEIGHT_FUNCTIONS = {function.name: function for function in (Huber, Cauchy, Tuke
 
 
 def with_weights(block: Block, sigmas: Float[np.ndarray, "ray 2"], weights: Float[np.ndarray, " ray"]) -> Block:
-    """The block with sigmas of the rays that are `sigmas` of these weights."""
-    factor = np.sqrt(np.maximum(weights, LEAST_WEIGHT))[:, None]
+    """The block in which the sigmas of the rays are `sigmas` divided by the roots of the weights."""
+    factor = np.sqrt(np.maximum(weights, MIN_WEIGHT))[:, None]
     return eqx.tree_at(lambda b: b.rays.sigmas, block, on_device(sigmas / factor))

@@ -1,4 +1,4 @@
-"""What the residuals tell: precision, reliability, variance components, the influence of control's errors."""
+"""Statistics of an adjustment: precision, reliability, tests, variance components, influence of errors of control."""
 
 from jaxbundle.numerics.lazy_names import lazy_names
 

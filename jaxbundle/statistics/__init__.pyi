@@ -16,8 +16,8 @@ from jaxbundle.statistics.subsets import (
     camera_rays as camera_rays,
     control_point as control_point,
     control_rays as control_rays,
+    default_groups as default_groups,
     image_rays as image_rays,
     observations_of_kind as observations_of_kind,
-    three_groups as three_groups,
     tie_rays as tie_rays,
 )

@@ -1,4 +1,4 @@
-"""Variance components: how exact every group of observations was after all, and with it the weights between groups.
+"""Variance components: the a-posteriori precision of each group of observations, and so the weights between groups.
 
     r_i = n_i - tr(N^-1 N_i),    N_i = A_i^T P_i A_i                                  sum r_i = M - N
     q_i = v_i^T P_i v_i
@@ -6,11 +6,11 @@
     "helmert"      S s = q,    S_ij = delta_ij (n_i - 2 tr N^-1 N_i) + tr(N^-1 N_i N^-1 N_j)      (Helmert 1907)
 
 The sigmas of group i are multiplied by sqrt(s_i) and the block is adjusted again, until all s_i are 1. As the rows of S
-sum up to r_i, both forms end at the same place, q_i = r_i. There normal errors give q the covariance 2 S, so that of
-the components is 2 S^-1, in units of the components.
+sum up to r_i, both forms converge to the same solution, q_i = r_i. For normal errors the covariance of q is then 2 S,
+so that of the components is 2 S^-1, in units of the components.
 
-The component of group i is the product of its s_i: its variance of unit weight for the sigmas a priori. Ratios of
-components are the coefficients of coordination C_i^2 = mu_1^2 / mu_i^2 of the text 001.
+The component of group i is the product of its s_i: its variance of unit weight for the a-priori sigmas. Ratios of
+components are the coefficients of coordination C_i^2 = mu_1^2 / mu_i^2 of Text 001.
 """
 
 import dataclasses
@@ -33,23 +33,24 @@ from jaxbundle.solve.adjustment import Adjustment, Status
 from jaxbundle.solve.options import Choices, Options, chosen
 from jaxbundle.statistics import dense
 from jaxbundle.statistics.reliability_tables import redundancy_numbers
-from jaxbundle.statistics.subsets import Subset, all_observations, require_whole_members, three_groups
+from jaxbundle.statistics.subsets import Subset, all_observations, default_groups, require_whole_members
 
 Form = Literal["redundancy", "helmert"]
 Groups = Float[np.ndarray, " group"]
 Free = Bool[np.ndarray, " group"]
-LEAST_REDUNDANCY = 3.0  # of a group: with less, the standard deviation of its component exceeds 0.8 of it
-LARGEST_STEP = 100.0  # of a component in one round
-LARGEST_COMPONENT = 1e6  # or its inverse: sigmas a thousand times off are no matter of weights any more
-INSEPARABLE = 1e-10  # smallest eigenvalue of S with a unit diagonal
-REST = "not asked for"
-SMALL = f"redundancy below {LEAST_REDUNDANCY:g}"
-FALLEN = f"on the way to a smaller one its redundancy fell below {LEAST_REDUNDANCY:g}"
-LIMIT = f"beyond {LARGEST_COMPONENT:g} or its inverse"
+# minimum redundancy of a group: with less, the relative standard deviation of its component exceeds 0.8
+MIN_REDUNDANCY = 3.0
+MAX_STEP = 100.0  # maximum change of a component in one round
+MAX_COMPONENT = 1e6  # or its inverse: sigmas that are wrong by a factor of a thousand are not a problem of weights
+INSEPARABLE = 1e-10  # minimum eigenvalue of S with a unit diagonal
+REST = "not requested"
+SMALL = f"redundancy below {MIN_REDUNDANCY:g}"
+FALLEN = f"while the component decreased, its redundancy fell below {MIN_REDUNDANCY:g}"
+LIMIT = f"above {MAX_COMPONENT:g} or below its inverse"
 
 
 class HelmertSystem(NamedTuple):
-    """S and the redundancy r of every group, its row sum."""
+    """The matrix S and the redundancy r of each group, its row sum."""
 
     matrix: Float[np.ndarray, "group group"]
     redundancy: Groups
@@ -57,11 +58,11 @@ class HelmertSystem(NamedTuple):
 
 @dataclass(frozen=True)
 class VarianceComponents:
-    """Variance components, one a group, in the order asked for; what was not asked for comes last.
+    """Variance components, one per group, in the requested order; other observations come last.
 
-    `components` multiply the variances a priori, `factors`, their roots, the sigmas. `deviations` are the components'
-    standard deviations, NaN for a group that is `held`, which says why ("" if it is not); where the block is too large
-    for S they are lower bounds, sqrt(2 / r_i). `adjustment` is the last one, with the sigmas that it found.
+    `components` multiply the a-priori variances, `factors`, their roots, the sigmas. `deviations` are the standard
+    deviations of the components, NaN for a fixed group; `held` has the reason ("" if not fixed). If the block is too
+    large for S, they are lower bounds, sqrt(2 / r_i). `adjustment` is the last one, with the final sigmas.
     """
 
     form: Form
@@ -71,16 +72,16 @@ class VarianceComponents:
     components: Groups
     deviations: Groups
     deviations_are_bounds: bool
-    sigmas: Groups  # roots of the mean variance of an observation, a posteriori
+    sigmas: Groups  # a-posteriori roots of the mean variance of an observation
     held: tuple[str, ...]
-    negative: tuple[str, ...]  # groups whose Helmert component was negative on the way
+    negative: tuple[str, ...]  # groups with a negative Helmert component during the iterations
     rounds: int
     converged: bool
     adjustment: Adjustment
 
     @property
     def factors(self) -> Groups:
-        """What the sigmas a priori are to be multiplied by."""
+        """The factors for the a-priori sigmas."""
         return np.sqrt(self.components)
 
     @property
@@ -90,11 +91,11 @@ class VarianceComponents:
 
     @property
     def coordination(self) -> Groups:
-        """C_i^2 = s_1^2 / s_i^2: factors of the weights 1 / sigma^2 a priori, those of the first group kept."""
+        """C_i^2 = s_1^2 / s_i^2: factors of the a-priori weights 1 / sigma^2, with the factor 1 for the first group."""
         return self.components[0] / self.components
 
     def summary(self) -> str:
-        """A table, and what is to be known of it."""
+        """The components as a table, with remarks."""
         ended = f"converged after {self.rounds} rounds" if self.converged else "NOT CONVERGED"
         wide = max(map(len, self.names))
         lines = [
@@ -109,13 +110,14 @@ class VarianceComponents:
         if self.deviations_are_bounds:
             lines.append("The block is too large for the covariances of the components: s.d. are lower bounds")
         lines += [
-            f"{name}: the component was negative on the way, the redundancy form's was taken" for name in self.negative
+            f"{name}: the component was negative during the iterations, that of the redundancy form was used"
+            for name in self.negative
         ]
         return "\n".join(lines)
 
 
 def helmert_system(system: dense.DenseSystem, subsets: Sequence[Subset]) -> HelmertSystem:
-    """S by the orthogonal factor U of A: tr(N^-1 N_i N^-1 N_j) = tr(G_i G_j), G_i = U_i^T U_i."""
+    """The matrix S from the orthogonal factor U of A: tr(N^-1 N_i N^-1 N_j) = tr(G_i G_j), G_i = U_i^T U_i."""
     parts = [system.orthogonal[system.rows(subset)] for subset in subsets]
     grams = [part.T @ part for part in parts]
     matrix = np.array([[np.sum(left * right) for right in grams] for left in grams])
@@ -133,15 +135,15 @@ def variance_components(
     options: Options | None = None,
     **choices: Unpack[Choices],
 ) -> VarianceComponents:
-    """Adjusts a block again and again until every group's sigmas agree with its residuals.
+    """Adjusts a block repeatedly until the sigmas of each group agree with its residuals.
 
-    `subsets`: disjoint groups of observations, the three of `three_groups` if none are given. `form`: "redundancy" or
-    "helmert". `tolerance`: largest relative change of a component at the end. `options` and all other keywords are
+    `subsets`: disjoint groups of observations, the three of `default_groups` if none are given. `form`: "redundancy" or
+    "helmert". `tolerance`: maximum relative change of a component at the end. `options` and all other keywords are
     those of `adjust`.
 
-    A group keeps its sigmas a priori while its redundancy is below 3, and for good if it falls below later.
+    The sigmas of a group are fixed while its redundancy is below 3, and permanently if it falls below 3 later.
 
-    Raises: BlockError as `adjust`; ValueError for overlapping or inseparable groups, for a robust adjustment, where an
+    Raises: BlockError as `adjust`; ValueError for overlapping or inseparable groups, for a robust adjustment, if an
     adjustment fails, and for the form "helmert" of a large block.
     """
     require_a(Block, block, "statistics.variance_components")
@@ -149,18 +151,20 @@ def variance_components(
         raise ValueError(f'no form {form!r}; there are "redundancy" and "helmert"')
     wanted = chosen(options, choices, "variance_components")
     if wanted.robust is not None:
-        raise ValueError("robust weights and variance components explain the same residuals twice: choose one")
+        raise ValueError(
+            "robust weights and variance components must not be combined: they explain the same residuals; choose one"
+        )
     require_valid(block)
-    asked = three_groups(block) if subsets is None else tuple(subsets)
+    asked = default_groups(block) if subsets is None else tuple(subsets)
     block, groups = with_datum(block), _with_rest(block, asked)
-    # redundancy numbers come with the cofactors
+    # redundancy numbers are computed with the cofactors
     quick, fully = (dataclasses.replace(wanted, precision=precision) for precision in (form == "redundancy", True))
     guard, converged, rounds = _Guard(len(groups), len(asked)), False, 0
     while rounds < max_rounds and not converged:
         rounds += 1
         adjustment = adjust(with_components(block, groups, guard.components), quick)
         if adjustment.status is not Status.CONVERGED:
-            raise ValueError(f"no variance components: adjustment {rounds} on the way {adjustment.status.words}")
+            raise ValueError(f"variance component estimation failed: adjustment {rounds} {adjustment.status.words}")
         block = _moved_on(block, adjustment)
         converged = guard.followed(_Step.of(adjustment, groups, form), tolerance)
     last = adjust(with_components(block, groups, guard.components), fully)
@@ -183,7 +187,7 @@ def variance_components(
 
 
 class _Step(NamedTuple):
-    """What one adjustment says of its groups; S is None for the form "redundancy"."""
+    """Sums of one adjustment for its groups; S is None for the form "redundancy"."""
 
     redundancy: Groups
     squares: Groups
@@ -191,7 +195,7 @@ class _Step(NamedTuple):
 
     @classmethod
     def of(cls, adjustment: Adjustment, groups: Sequence[Subset], form: Form) -> "_Step":
-        """r, q and S of an adjustment."""
+        """Computes r, q and S of an adjustment."""
         squares = _sums(groups, [np.asarray(v) ** 2 for v in adjustment.weighted_residuals])
         if form == "redundancy":
             return cls(_redundancy(adjustment, groups), squares, None)
@@ -199,7 +203,7 @@ class _Step(NamedTuple):
         return cls(system.redundancy, squares, system.matrix)
 
     def solution(self, free: Free) -> tuple[Groups, Free]:
-        """s, 1 for what is held, and where Helmert's was negative."""
+        """Computes s: 1 for fixed groups, and a mask of negative Helmert components."""
         simple = np.where(free, self.squares / np.where(free, self.redundancy, 1.0), 1.0)
         if self.matrix is None:
             return simple, np.zeros_like(free)
@@ -211,7 +215,7 @@ class _Step(NamedTuple):
 
 
 class _Guard:
-    """The components reached, and which groups are held."""
+    """The current components, and the fixed groups."""
 
     def __init__(self, groups: int, asked: int):
         self.components = np.ones(groups)
@@ -221,19 +225,19 @@ class _Guard:
 
     @property
     def free(self) -> Free:
-        """Groups whose component is estimated."""
+        """Mask of the groups with an estimated component."""
         return ~(self.rest | self.small | self.at_limit)
 
     @property
     def reasons(self) -> tuple[str, ...]:
-        """Why a group is held, "" if it is not."""
+        """The reason why a group is fixed, "" if it is not."""
         masks = {REST: self.rest, FALLEN: self._fallen, SMALL: self.small, LIMIT: self.at_limit}
         return tuple(next((word for word, mask in masks.items() if mask[k]), "") for k in range(len(self.rest)))
 
     def followed(self, step: _Step, tolerance: float) -> bool:
-        """Whether the step leaves the components where they are; else they follow it."""
-        small = ~self.rest & ~self.at_limit & (step.redundancy < LEAST_REDUNDANCY)
-        self._fallen |= small & self._followed  # once freed and fallen again, it would go on so for ever
+        """Whether the components have converged; if not, they are changed by the step."""
+        small = ~self.rest & ~self.at_limit & (step.redundancy < MIN_REDUNDANCY)
+        self._fallen |= small & self._followed  # otherwise it could alternate for ever
         self.small = small | self._fallen
         back = self.small & (self.components != 1)
         if back.any():
@@ -243,15 +247,15 @@ class _Guard:
         self.negative |= negative
         if np.abs(s - 1).max(initial=0.0) <= tolerance:
             return True
-        reached = self.components * np.clip(s, 1 / LARGEST_STEP, LARGEST_STEP)
-        self.components = np.clip(reached, 1 / LARGEST_COMPONENT, LARGEST_COMPONENT)
+        reached = self.components * np.clip(s, 1 / MAX_STEP, MAX_STEP)
+        self.components = np.clip(reached, 1 / MAX_COMPONENT, MAX_COMPONENT)
         self.at_limit |= reached != self.components
         self._followed |= self.free
         return False
 
 
 def with_components(block: Block, groups: Sequence[Subset], components: Groups) -> Block:
-    """The block with the variances of every group multiplied by its component."""
+    """The block with the variances of each group multiplied by its component."""
     tables = [np.ones(mask.shape) for mask in groups[0].masks]
     for group, component in zip(groups, components, strict=True):
         for table, mask in zip(tables, group.masks, strict=True):
@@ -261,7 +265,7 @@ def with_components(block: Block, groups: Sequence[Subset], components: Groups) 
         sigmas = on_device(np.asarray(group.sigmas) * np.sqrt(table))
         if group.covariances is None:
             return eqx.tree_at(lambda g: g.sigmas, group, sigmas)
-        # of one member all observed components have the same factor; what is not observed counts nothing
+        # all observed components of one member have the same factor; the others do not count
         largest = np.where(group.structure.observed, table, 0.0).max(1)[:, None, None]
         covariances = on_device(np.asarray(group.covariances) * np.where(largest > 0, largest, 1.0))
         return eqx.tree_at(lambda g: (g.sigmas, g.covariances), group, (sigmas, covariances))
@@ -272,11 +276,11 @@ def with_components(block: Block, groups: Sequence[Subset], components: Groups) 
 
 
 def _with_rest(block: Block, asked: tuple[Subset, ...]) -> tuple[Subset, ...]:
-    """The groups and, where they are not all observations, the rest; they must not overlap."""
+    """The groups and, if observations remain, a group of the rest; groups must not overlap."""
     taken = tuple(np.zeros_like(mask) for mask in all_observations(block).masks)
     for group in asked:
         if group.count == 0:
-            raise ValueError(f"no observations belong to {group.name}")
+            raise ValueError(f"{group.name} has no observations")
         require_whole_members(block, group)
         if any((mask & before).any() for mask, before in zip(group.masks, taken, strict=True)):
             raise ValueError(f"{group.name} shares observations with a group before: an observation has one variance")
@@ -287,7 +291,7 @@ def _with_rest(block: Block, asked: tuple[Subset, ...]) -> tuple[Subset, ...]:
 
 
 def _moved_on(block: Block, adjustment: Adjustment) -> Block:
-    """The block, its sigmas a priori, at the adjusted unknowns."""
+    """The block with its a-priori sigmas at the adjusted unknowns."""
     new = adjustment.block
     return eqx.tree_at(
         lambda b: (b.exterior, b.interior, b.parameters, b.object_points),
@@ -297,7 +301,7 @@ def _moved_on(block: Block, adjustment: Adjustment) -> Block:
 
 
 def _sums(groups: Sequence[Subset], tables: Sequence[np.ndarray]) -> Groups:
-    """Sums of a table of numbers over every group."""
+    """Sums of a table of numbers over each group."""
     return np.array([sum(table[mask].sum() for table, mask in zip(tables, g.masks, strict=True)) for g in groups])
 
 
@@ -306,12 +310,12 @@ def _redundancy(adjustment: Adjustment, groups: Sequence[Subset]) -> Groups:
 
 
 def _deviations(adjustment: Adjustment, groups: Sequence[Subset], free: Free) -> tuple[Groups, bool]:
-    """Relative standard deviations of the components, NaN for what is held; True where they are lower bounds.
+    """Relative standard deviations of the components, NaN for fixed groups; True if they are lower bounds.
 
     S_ii is at most r_i and a diagonal element of S^-1 at least 1 / S_ii.
     """
     deviations = np.full(len(groups), np.nan)
-    if adjustment.unknowns > dense.MAX_UNKNOWNS:
+    if adjustment.n_unknowns > dense.MAX_UNKNOWNS:
         deviations[free] = np.sqrt(2 / _redundancy(adjustment, groups)[free])
         return deviations, True
     matrix = helmert_system(dense.dense_system(adjustment), groups).matrix[np.ix_(free, free)]
@@ -320,17 +324,15 @@ def _deviations(adjustment: Adjustment, groups: Sequence[Subset], free: Free) ->
 
 
 def _separable(matrix: Float[np.ndarray, "group group"]) -> Float[np.ndarray, "group group"]:
-    """S, unless some of its groups cannot be told apart."""
+    """Returns S. Raises ValueError if the groups are not separable."""
     root = np.sqrt(np.diag(matrix))
     if np.linalg.eigvalsh(matrix / root / root[:, None]).min(initial=1.0) < INSEPARABLE:
-        raise ValueError(
-            "the residuals do not tell the variance components of the groups apart: join some of the groups"
-        )
+        raise ValueError("the variance components of these groups are not separable: join some of the groups")
     return matrix
 
 
 def _mean_variance(block: Block, group: Subset) -> float:
-    """Mean variance of the observations of a group."""
+    """Root of the mean variance of the observations of a group."""
     diagonals = [
         np.asarray(g.sigmas) ** 2 if g.covariances is None else np.diagonal(np.asarray(g.covariances), axis1=1, axis2=2)
         for g in block.groups

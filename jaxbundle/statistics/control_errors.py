@@ -1,23 +1,23 @@
-"""Markuze's criterion of negligible errors: do the errors of control count beside those of the measurements?
+"""Markuze's criterion of negligible errors of control, compared with the errors of the measurements.
 
-    Q     cofactors of the unknowns, control weighted as claimed
-    Q0    cofactors if the control in question were without error
-    dQ_i = Q_i - Q0_i <= 0.11 Q0_i for every unknown i: its errors are negligible       (Markuze 1982; text 001, eq. 7)
+    Q     cofactors of the unknowns, control weighted by its sigmas
+    Q0    cofactors if this control were without error
+    dQ_i = Q_i - Q0_i <= 0.11 Q0_i for each unknown i: its errors are negligible       (Markuze 1982; Text 001, eq. 7)
 
-0.11 is 1/9: an error a third of another one adds a ninth to its square. For the orientation alone this is the text's
+0.11 is 1/9: an error a third of another one adds a ninth to its square. For the orientation alone this is, in Text 001,
 Q = (A^T W A)^-1, W = (P1^-1 + B P3^-1 B^T)^-1, and Q0 = (A^T P1 A)^-1. Control is made errorless by constraints: with
 its rows C of the design matrix,
 
     Q0 = Q - Q C^T (C Q C^T)^-1 C Q = R^-1 (I - T T^T) R^-T,    T an orthonormal basis of R^-T C^T = (rows of U)^T
 
-computed in the last form, which subtracts no large squares. An unknown that the control fixes alone has no Q0.
+computed in the last form, which avoids differences of large squares. An unknown that only this control fixes has no Q0.
 
-The criterion sees the weights that are claimed and no residual: control may be claimed exact, pass it and be wrong.
-Therefore it is paired with a test of the residuals. Were the control off by any amount, v^T P v would fall by
+The criterion depends on the given weights and not on residuals: control with too small sigmas passes it, even if it
+is wrong. Therefore it is combined with a test of the residuals. Without this control, v^T P v decreases by
 
     T = v_C^T (I - H)^-1 v_C,    v_C the control's residuals over their sigmas, H = C Q C^T
 
-which is a chi-square variable of as many degrees as I - H has ranks, if control and measurements are as claimed.
+which is chi-square distributed with rank(I - H) degrees of freedom, if all sigmas are correct.
 """
 
 from collections.abc import Sequence
@@ -39,14 +39,14 @@ from jaxbundle.statistics.subsets import (
     require_whole_members,
 )
 
-NEGLIGIBLE = 0.11  # text 001, eq. (7)
-LEVEL = 0.001  # of the tests: one in a thousand points without gross error is suspected (Baarda 1968)
-FIXED = 1e-14  # Q0 / Q of an unknown that the control fixes: the square of what rounding leaves of 0
-LEAST_RANK = 1e-10  # of I - H, and of a basis: what is less is rounding
+NEGLIGIBLE = 0.11  # Text 001, eq. (7)
+LEVEL = 0.001  # level of the tests: one in a thousand points without gross error is suspected (Baarda 1968)
+FIXED = 1e-14  # Q0 / Q of an unknown that the control fixes: the square of a rounding error
+MIN_RANK = 1e-10  # eigenvalues of I - H, and norms of a basis: smaller ones are rounding
 
 
 class ResidualTest(NamedTuple):
-    """T and its degrees of freedom; `probability` that it is exceeded by chance, 1 where there is nothing to test."""
+    """The test statistic T and its degrees of freedom; `probability` that chance exceeds it."""
 
     statistic: float
     degrees: int
@@ -54,19 +54,19 @@ class ResidualTest(NamedTuple):
 
     @property
     def passed(self) -> bool:
-        """Whether the residuals are those of control as exact as claimed."""
+        """Whether the residuals agree with the sigmas of the control."""
         return self.probability >= LEVEL
 
 
 class Influence(NamedTuple):
-    """The influence of the errors of some control on every unknown; NaN for what is held or fixed by it alone."""
+    """The influence of the errors of some control on each unknown; NaN for unknowns that are fixed, or only by it."""
 
     control: Subset
     errorless: UnknownTables  # Q0
     weighted: UnknownTables  # Q
     ratios: UnknownTables  # dQ / Q0
     largest: float
-    most_affected: str  # the unknown of the largest ratio, "" where there is none
+    most_affected: str  # the unknown with the maximum ratio, "" if there is none
     test: ResidualTest
 
     @property
@@ -76,7 +76,7 @@ class Influence(NamedTuple):
 
     @property
     def may_be_errorless(self) -> bool:
-        """Negligible by the weights claimed, and these are not contradicted by the residuals."""
+        """Whether the errors are negligible by the given weights, and the residuals do not contradict these."""
         return self.negligible and self.test.passed
 
     def __str__(self) -> str:
@@ -85,11 +85,11 @@ class Influence(NamedTuple):
         contradicted = (
             "" if self.test.passed else f"; its residuals contradict its sigmas (p {self.test.probability:.1e})"
         )
-        return f"{self.control.name}: {word}, largest dQ / Q0 {self.largest:.3g}{where}{contradicted}"
+        return f"{self.control.name}: {word}, maximum dQ / Q0 {self.largest:.3g}{where}{contradicted}"
 
 
 class ControlInfluence(NamedTuple):
-    """The influence of all control together, of every kind of it and of every control point.
+    """The influence of all control together, of each kind and of each control point.
 
     `errorless`: control points that may be regarded as without error, all of them together.
     `test`: v^T P v with the redundancy of the whole adjustment.
@@ -102,31 +102,31 @@ class ControlInfluence(NamedTuple):
     test: ResidualTest
 
     def summary(self) -> str:
-        """A line each, and what may be regarded as errorless."""
-        kinds = self.kinds if len(self.kinds) > 1 else ()  # a single one is all control
+        """One line for each influence, and the points that may be regarded as errorless."""
+        kinds = self.kinds if len(self.kinds) > 1 else ()  # a single kind is all control
         lines = [str(influence) for influence in (self.together, *kinds, *self.points)]
         if not self.test.passed:
             lines.append(
                 f"v^T P v {self.test.statistic:.4g} is too large for a redundancy of {self.test.degrees}: some sigmas"
-                " are claimed too small"
+                " are too small"
             )
         return "\n".join([*lines, f"May be regarded as errorless: {', '.join(self.errorless) or 'none'}"])
 
 
 def influence(adjustment: Adjustment, control: Subset) -> Influence:
-    """The influence of the errors of some control, as of `control_point(block, "12")`.
+    """The influence of the errors of some control, such as `control_point(block, "12")`.
 
-    Raises: ValueError for image coordinates, for a large block, and for unknowns that are not determined.
+    Raises: ValueError for image coordinates, for a large block, and for undetermined unknowns.
     """
     require_a(Adjustment, adjustment, "statistics.influence")
     return _influence(dense_system(adjustment), adjustment, control)
 
 
 def control_influence(adjustment: Adjustment) -> ControlInfluence:
-    """Which control matters, and which may be regarded as errorless.
+    """The influence of all control, and the points that may be regarded as errorless.
 
-    Control points whose residuals pass their test are taken one after the other, the least influential first, as long
-    as the criterion holds for all that are taken. Where the whole adjustment fails its test none is.
+    Control points whose residuals pass their test are added one after the other, the least influential first, as long
+    as all of them together meet the criterion. If the global test of the adjustment fails, there are none.
 
     Raises: ValueError for a block without weighted control, and as `influence`.
     """
@@ -134,7 +134,7 @@ def control_influence(adjustment: Adjustment) -> ControlInfluence:
     block = adjustment.block
     kinds = dict.fromkeys(group.structure.kind.name for group in block.groups if group.count)
     if not kinds:
-        raise ValueError("the block has no control with sigmas; held control has no weight to be judged")
+        raise ValueError("the block has no control with sigmas; fixed control has no weight for this criterion")
     system = dense_system(adjustment)
 
     def of(subset: Subset) -> Influence:
@@ -155,7 +155,7 @@ def _influence(system: DenseSystem, adjustment: Adjustment, control: Subset) -> 
     require_whole_members(adjustment.block, control)
     rows = system.rows(control)
     if control.masks[0].any() or not len(rows):
-        raise ValueError(f"{control.name}: control is what is observed besides image coordinates, and some of it")
+        raise ValueError(f"{control.name}: control means observations other than image coordinates, and some of it")
     q = np.sum(system.inverse**2, 1)
     basis = _basis(system.orthogonal[rows].T)
     q0 = np.sum((system.inverse - (system.inverse @ basis) @ basis.T) ** 2, 1)
@@ -173,7 +173,7 @@ def _influence(system: DenseSystem, adjustment: Adjustment, control: Subset) -> 
 
 
 def _ratios(q: Float[np.ndarray, " free"], q0: Float[np.ndarray, " free"]) -> Float[np.ndarray, " free"]:
-    """dQ / Q0, NaN for what the control fixes."""
+    """Ratios dQ / Q0, NaN for unknowns that the control fixes."""
     fixed = q0 <= FIXED * q
     return np.where(fixed, np.nan, (q - q0) / np.where(fixed, 1.0, q0))
 
@@ -181,22 +181,22 @@ def _ratios(q: Float[np.ndarray, " free"], q0: Float[np.ndarray, " free"]) -> Fl
 def _basis(
     columns: Float[np.ndarray, "free chosen"], before: Float[np.ndarray, "free earlier"] | None = None
 ) -> Float[np.ndarray, "free constraint"]:
-    """Orthonormal basis of what some columns add to an earlier basis; nothing where they depend on it."""
+    """Orthonormal basis of the space that some columns add to an earlier basis; empty if they depend on it."""
     lengths = np.linalg.norm(columns, axis=0)
     left = columns[:, lengths > 0] / lengths[lengths > 0]
     if before is not None:
-        for _ in range(2):  # once leaves what rounding put in
+        for _ in range(2):  # a single pass leaves rounding errors
             left = left - before @ (before.T @ left)
     left, size, _ = np.linalg.svd(left, full_matrices=False)
-    return left[:, size > LEAST_RANK]
+    return left[:, size > MIN_RANK]
 
 
 def _residual_test(system: DenseSystem, adjustment: Adjustment, rows: Int[np.ndarray, " chosen"]) -> ResidualTest:
-    """T of some observations."""
+    """The test statistic T of some observations."""
     v = np.concatenate([np.asarray(table).ravel() for table in adjustment.weighted_residuals])[rows]
     part = system.orthogonal[rows]
     values, vectors = np.linalg.eigh(np.eye(len(rows)) - part @ part.T)
-    tested = values > LEAST_RANK
+    tested = values > MIN_RANK
     along = vectors[:, tested].T @ v
     return _probability(float(np.sum(along**2 / values[tested])), int(tested.sum()))
 
@@ -206,7 +206,7 @@ def _probability(statistic: float, degrees: int) -> ResidualTest:
 
 
 def _errorless_together(system: DenseSystem, points: Sequence[Influence]) -> tuple[str, ...]:
-    """Names of the points; adding one only raises the ratios, so one that is too much is so with more of them, too."""
+    """Names of the errorless points. An additional point only increases the ratios: a rejected point stays rejected."""
     q, left = np.sum(system.inverse**2, 1), system.inverse
     taken, basis = [], np.zeros((len(q), 0))
     for point in sorted((p for p in points if p.may_be_errorless), key=lambda point: point.largest):

@@ -2,7 +2,7 @@
 
     C_ff = sigma0^2 F Q F^T,    F = df/d(unknowns) by autodiff
 
-Q F^T comes from the factorised normal equations, one pass through the tiles a function; Q is never formed.
+Q F^T comes from the factorised normal equations, with one pass through the tiles per function; Q is not formed.
 """
 
 from collections.abc import Callable
@@ -34,7 +34,7 @@ EXAMPLE = "for example jb.covariance_of(result, lambda block: block.object_point
 class Estimated(NamedTuple):
     """Values of functions of the unknowns, their a-posteriori covariance matrix and standard deviations.
 
-    Functions of any shape: the covariance of elements [i, j] and [k, l] stands at [i, j, k, l].
+    Functions may have any shape: the covariance of elements [i, j] and [k, l] has the index [i, j, k, l].
     """
 
     values: Float[np.ndarray, "*shape"]
@@ -42,13 +42,13 @@ class Estimated(NamedTuple):
 
     @property
     def standard_deviations(self) -> Float[np.ndarray, "*shape"]:
-        """Square roots of the variances."""
+        """Standard deviations: square roots of the variances."""
         count, shape = self.values.size, self.values.shape
         return np.sqrt(np.diagonal(self.covariance.reshape(count, count))).reshape(shape)
 
 
 class Ellipsoids(NamedTuple):
-    """Semi-axes, longest first, and their directions, the columns; of one standard deviation in every direction."""
+    """Semi-axes of standard ellipses or ellipsoids, longest first, and their directions, which are the columns."""
 
     semi_axes: Float[np.ndarray, "point axis"]
     directions: Float[np.ndarray, "point coordinate axis"]
@@ -57,11 +57,11 @@ class Ellipsoids(NamedTuple):
 def covariance_of(adjustment: Adjustment, function: Callable[[Block], Array]) -> Estimated:
     """Values and covariance of a differentiable function of the adjusted block: one number or an array of any shape.
 
-    `lambda b: b.object_points[jnp.array([3, 7])]` gives values (2, 3) and a covariance (2, 3, 2, 3). What is fixed in
-    the block counts as errorless. A robust adjustment counts with the weights of its last round.
+    `lambda b: b.object_points[jnp.array([3, 7])]` gives values (2, 3) and a covariance (2, 3, 2, 3). Fixed values of
+    the block have no errors. A robust adjustment uses the weights of its last round.
 
-    Raises: TypeError for a function that returns no array of numbers; ValueError for one that is not differentiable or
-    whose values or derivatives are not finite, and for a solution without factorisation, by conjugate gradients.
+    Raises: TypeError for a function that does not return an array of numbers; ValueError for a function that is not
+    differentiable or has values or derivatives that are not finite, and for a solution by conjugate gradients.
     """
     require_a(Adjustment, adjustment, "covariance_of")
     if adjustment.reduced == "pcg":
@@ -83,16 +83,16 @@ def covariance_of(adjustment: Adjustment, function: Callable[[Block], Array]) ->
 
 
 def _linearised(block: Block, function: Callable[[Block], Array]) -> tuple[Float[np.ndarray, "*shape"], Block]:
-    """A user's function at the adjusted block: its values, and its derivatives, a row for each value."""
+    """A user's function at the adjusted block: its values, and its derivatives, one row for each value."""
     if not callable(function):
-        raise TypeError(f"covariance_of takes a function of the block, not {type(function).__name__}: {EXAMPLE}")
+        raise TypeError(f"covariance_of needs a function of the block, not {type(function).__name__}: {EXAMPLE}")
 
     def vector(block: Block) -> Float[Array, " function"]:
         return jnp.ravel(jnp.asarray(function(block)))
 
     try:
         returned = function(block)
-    except Exception as error:  # it is anybody's code: whatever it raises is what is wrong with it
+    except Exception as error:  # code of the user: any exception is its error
         raise ValueError(f"the function fails with {type(error).__name__}: {first_line(error)}; {EXAMPLE}") from error
     if not (hasattr(returned, "dtype") or isinstance(returned, float | int)):
         raise TypeError(f"the function returns {type(returned).__name__}, not an array of numbers; {EXAMPLE}")
@@ -121,7 +121,7 @@ def _linearised(block: Block, function: Callable[[Block], Array]) -> tuple[Float
 
 
 def _by_unknowns(derivatives: Block) -> tuple[np.ndarray, ...]:
-    """Derivatives with respect to the unknowns."""
+    """Derivatives of the function with respect to the unknowns."""
     exterior = [np.asarray(x) for x in (derivatives.exterior.projection_centre, derivatives.exterior.angles)]
     others = derivatives.interior.elements, derivatives.object_points, derivatives.parameters
     return np.stack(exterior), *map(np.asarray, others)
@@ -142,7 +142,7 @@ def _cofactors(
 
 
 def _arranged_rows(plan: EliminationPlan, block: Block, derivatives: Any) -> NormalVector:
-    """F in the order of elimination, by the angles of the corrections."""
+    """The matrix F in elimination order, with respect to the angles of the corrections."""
     structure, unknowns = block.structure, unknowns_of(block)
     turned = np.asarray(angle_derivatives(unknowns.rotation, None, block.exterior.angles.T, structure.rotation_system))
     by_angles = np.einsum("fia,abi->fib", np.asarray(derivatives.exterior.angles), turned)
@@ -158,9 +158,9 @@ def _arranged_rows(plan: EliminationPlan, block: Block, derivatives: Any) -> Nor
 
 
 def error_ellipsoids(adjustment: Adjustment) -> Ellipsoids:
-    """Of all object points, a posteriori.
+    """A-posteriori standard error ellipsoids of all object points.
 
-    Raises: ValueError where no cofactors were computed.
+    Raises: ValueError if no cofactors were computed.
     """
     require_a(Adjustment, adjustment, "statistics.error_ellipsoids")
     if adjustment.cofactors is None:
@@ -171,9 +171,9 @@ def error_ellipsoids(adjustment: Adjustment) -> Ellipsoids:
 
 
 def error_ellipses(adjustment: Adjustment) -> Ellipsoids:
-    """In the plane X, Y, of all object points, a posteriori.
+    """A-posteriori standard error ellipses in the plane X, Y of all object points.
 
-    Raises: ValueError where no cofactors were computed.
+    Raises: ValueError if no cofactors were computed.
     """
     require_a(Adjustment, adjustment, "statistics.error_ellipses")
     if adjustment.cofactors is None:

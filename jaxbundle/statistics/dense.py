@@ -1,6 +1,6 @@
-"""The design matrix of a whole adjustment, dense, for what asks for all of N^-1: some thousands of unknowns at most.
+"""The dense design matrix of an adjustment, for functions that need the full N^-1, up to some thousands of unknowns.
 
-A = U R          A: residuals over their sigmas, by autodiff, with respect to what is free; U^T U = I
+A = U R          A: derivatives by autodiff of the weighted residuals with respect to free unknowns; U^T U = I
 N^-1 = (A^T A)^-1 = R^-1 R^-T              cofactors of the unknowns
 A N^-1 A^T = U U^T,   r = 1 - diag(U U^T)  redundancy numbers of the observations
 """
@@ -22,12 +22,12 @@ from jaxbundle.numerics.host import on_device
 from jaxbundle.solve.adjustment import Adjustment
 from jaxbundle.statistics.subsets import Subset
 
-UNKNOWNS_FOR_OPTIMISATION = 500  # below, the design matrix takes less time than optimising its program
-LEAST_PIVOT = 1e-11  # of a column of A: as in the search for undetermined unknowns, below rounding decides
+UNKNOWNS_FOR_OPTIMISATION = 500  # below this, the design matrix takes less time than optimising its program
+MIN_PIVOT = 1e-11  # of a column of A: below this rounding decides, as in the search for undetermined unknowns
 
 
 class UnknownTables(NamedTuple):
-    """A number for every unknown, in tables as the block has them; NaN for what is held. Angles are the user's."""
+    """One number for each unknown, in the tables of the block; NaN for fixed elements. Angles are the user's."""
 
     exterior: Float[np.ndarray, "image 6"]
     interior: Float[np.ndarray, "camera element"]
@@ -36,7 +36,7 @@ class UnknownTables(NamedTuple):
 
 
 class DenseSystem(NamedTuple):
-    """U, and R^-1 whose rows for attitudes belong to the user's angles; observations follow `tables`, row by row."""
+    """The matrices U and R^-1 (for attitudes in the user's angles); observations follow `tables`, row by row."""
 
     structure: Structure
     observed: tuple[Bool[np.ndarray, "_member _component"], ...]
@@ -44,11 +44,11 @@ class DenseSystem(NamedTuple):
     inverse: Float[np.ndarray, "free free"]
 
     def rows(self, subset: Subset) -> Int[np.ndarray, " chosen"]:
-        """Rows of a subset's observations."""
+        """The rows of the observations of a subset."""
         return np.flatnonzero(np.concatenate([mask.ravel() for mask in subset.masks]))
 
     def tables(self, numbers: Float[np.ndarray, " observation"]) -> tuple[Float[np.ndarray, "_member _component"], ...]:
-        """A number for every observation, in tables as the residuals; 0 where nothing is observed."""
+        """One number for each observation, in tables like the residuals; 0 where not observed."""
         ends = np.cumsum([mask.size for mask in self.observed])
         parts = np.split(numbers, ends[:-1])
         return tuple(
@@ -56,7 +56,7 @@ class DenseSystem(NamedTuple):
         )
 
     def unknown_tables(self, numbers: Float[np.ndarray, " free"]) -> UnknownTables:
-        """A number for every free unknown, in tables."""
+        """One number for each free unknown, in tables."""
         tables, first = [], 0
         structure, elements = self.structure, self.structure.interior_free
         for mask in (structure.exterior_free.T, elements.T, structure.parameter_free, structure.point_free.T):
@@ -68,7 +68,7 @@ class DenseSystem(NamedTuple):
 
     @property
     def unknown_names(self) -> tuple[str, ...]:
-        """The free unknowns in the user's words, in their order."""
+        """Names of the free unknowns for the user, in their order."""
         s = self.structure
         names = [f"{e} of image {i}" for e, i in _free(s.exterior_elements, s.image_names, s.exterior_free)]
         for k in s.interior_columns:
@@ -81,25 +81,25 @@ class DenseSystem(NamedTuple):
 def _free(
     elements: Sequence[str], names: Sequence[str], free: Bool[np.ndarray, "entity element"]
 ) -> list[tuple[str, str]]:
-    """Every free element with the name of whose it is, element by element."""
+    """Each free element with the name of its entity."""
     return [(elements[int(k)], names[int(row)]) for k, row in np.argwhere(free.T)]
 
 
 def dense_system(adjustment: Adjustment) -> DenseSystem:
-    """The system at the adjusted unknowns, with the weights that the adjustment had at last.
+    """The system at the adjusted unknowns, with the final weights of the adjustment.
 
-    Raises: ValueError for a large block, and for unknowns that are not determined.
+    Raises: ValueError for a large block, and for undetermined unknowns.
     """
     return block_system(adjustment.weighted_block)
 
 
 def block_system(block: Block) -> DenseSystem:
-    """The system at the values of a block whose datum is chosen; raises as `dense_system`."""
+    """The system at the values of a block with a defined datum; raises as `dense_system`."""
     structure = block.structure
-    if structure.unknowns > MAX_UNKNOWNS:
+    if structure.n_unknowns > MAX_UNKNOWNS:
         raise ValueError(
-            f"this needs the whole cofactor matrix, of {MAX_UNKNOWNS} unknowns at most; the block has"
-            f" {structure.unknowns}"
+            f"this requires the full cofactor matrix, limited to {MAX_UNKNOWNS} unknowns; the block has"
+            f" {structure.n_unknowns}"
         )
     centred = block.moved(-np.asarray(block.exterior.projection_centre).mean(0))
     observations = observations_of(centred)
@@ -111,8 +111,8 @@ def block_system(block: Block) -> DenseSystem:
         block.exterior.angles,
         optimised=free.number >= UNKNOWNS_FOR_OPTIMISATION,
     )
-    if not np.all(np.asarray(pivots)[: free.number] > LEAST_PIVOT):
-        raise ValueError("the observations leave some unknowns undetermined; adjust() names them")
+    if not np.all(np.asarray(pivots)[: free.number] > MIN_PIVOT):
+        raise ValueError("some unknowns are undetermined; the findings of adjust() name them")
     orthogonal, inverse = np.array(orthogonal[:, : free.number]), np.array(inverse[: free.number, : free.number])
     exterior = np.zeros((6, len(structure.image_names), free.number))
     exterior[structure.exterior_free.T] = inverse[: structure.exterior_free.sum()]
@@ -126,11 +126,11 @@ def block_system(block: Block) -> DenseSystem:
 
 
 def redundancy_numbers(adjustment: Adjustment) -> tuple[Float[np.ndarray, "_member _component"], ...]:
-    """r of every observation, in tables as the residuals, 0 where nothing is observed; their sum is M - N.
+    """Redundancy numbers r of all observations, in tables like the residuals; 0 where not observed; their sum is M - N.
 
-    Correlated components of a member have one as uncorrelated combinations: only their sum means anything.
+    For correlated components of a member they refer to uncorrelated combinations: only their sum is meaningful.
 
-    Raises: ValueError for a large block, and for unknowns that are not determined.
+    Raises: ValueError for a large block, and for undetermined unknowns.
     """
     system = dense_system(adjustment)
     return system.tables(1 - np.sum(system.orthogonal**2, 1))
@@ -140,10 +140,10 @@ def redundancy_numbers(adjustment: Adjustment) -> tuple[Float[np.ndarray, "_memb
 def _factors(
     unknowns: Unknowns, o: Observations, free: Int[Array, "chunk at_once"], reference: Float[Array, "image 3"]
 ) -> tuple[Array, Array, Array, Float[Array, "3 3 image"]]:
-    """U, R^-1, the pivots of N with a unit diagonal, and what turns small angles into the user's; padded with zeros.
+    """U, R^-1, pivots of N with a unit diagonal, derivatives of the user's angles by small angles; zero-padded.
 
-    By two Cholesky factorisations, N = A^T A and then U^T U once more (CholeskyQR2, Yamamoto et al. 2015): as exact as
-    Householder's while N has a factor at all, and free of LAPACK's threads.
+    By two Cholesky factorisations, N = A^T A and then U^T U (CholeskyQR2, Yamamoto et al. 2015): as accurate as
+    Householder's method if N has a factor, and without LAPACK's threads.
     """
     columns = design_columns(unknowns, o, free)
     lengths = jnp.linalg.norm(columns, axis=1)

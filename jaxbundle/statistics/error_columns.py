@@ -1,17 +1,18 @@
-"""How errors of observations act, column by column, and what the residuals say of each.
+"""Effects of errors of observations as columns, and their tests by the residuals.
 
-A column of B is minus the effect of a unit error on the residuals: 1 for an observed value. An image point acts through
-its corrections, where the measurement is corrected and not the projection. An error in a fixed coordinate acts on what
-touches its point: its column is minus that of the design matrix. With C = P^1/2 B and the weighted residuals v,
+A column of B is minus the effect of a unit error on the residuals: 1 for an observed value. The effect of an image
+point includes its corrections, if the measurement is corrected and not the projection. An error in a fixed coordinate
+affects all observations of its point: its column is minus that of the design matrix. With C = P^1/2 B and the weighted
+    residuals v,
 
     g = C^T v,    M = C^T C - (A^T C)^T N^-1 (A^T C) = B^T P Q_vv P B
 
-tell everything about any combination of the columns (Baarda 1968, Foerstner 1983, Teunissen 2000): its most probable
-size is -M^-1 g, and g^T M^-1 g is by how much v^T P v falls when it is taken out. N^-1 comes from one factorisation for
-all columns. M does not depend on the datum.
+are sufficient for tests of any combination of the columns (Baarda 1968, Foerstner 1983, Teunissen 2000): the estimated
+size of the error is -M^-1 g, and g^T M^-1 g is the decrease of v^T P v if it is removed. N^-1 comes from one
+factorisation for all columns. M does not depend on the datum.
 
-The residuals of an adjustment are orthogonal to A. Where they are not, because they stand at other values of the
-unknowns, the part that a step of Gauss-Newton would explain is taken off: v becomes one column more.
+The residuals of an adjustment are orthogonal to A. Residuals at other values of the unknowns are not; then the
+part that a step of Gauss-Newton would explain is subtracted: v becomes an additional column.
 """
 
 from collections.abc import Sequence
@@ -37,15 +38,15 @@ from jaxbundle.numerics.compilation import RAYS_FOR_OPTIMISATION, Compiled
 from jaxbundle.numerics.host import on_device
 from jaxbundle.numerics.shapes import grid_size
 
-MOST_DENSE = 1500  # unknowns: up to here the whole design matrix takes less time than a solution for each column
-DETERMINED = 1e-11  # diagonal of R, columns of A of length 1: what is less is rounding
-FIXED = -1  # table of a fixed coordinate: it is not observed
+MAX_DENSE = 1500  # unknowns: up to this number the full design matrix is faster than a solution for each column
+DETERMINED = 1e-11  # diagonal of R, for columns of A of length 1: smaller ones are rounding
+FIXED = -1  # table of a fixed coordinate, which is not observed
 
 
 class ErrorColumn(NamedTuple):
-    """A unit error: `values` are added to components of members of a table, in the frame of its residuals.
+    """A column of a unit error: `values` are added to components of members of a table, in the frame of its residuals.
 
-    Tables are numbered as those of the residuals; FIXED is that of the object points, components are X, Y, Z.
+    Tables are numbered like those of the residuals; FIXED is the table of the object points with components X, Y, Z.
     """
 
     table: int
@@ -64,14 +65,14 @@ class ErrorTests(NamedTuple):
     redundancy: int
 
     def combined(self, combinations: sp.csc_matrix) -> "ErrorTests":
-        """The same of combinations of the columns, the columns of a matrix."""
+        """The tests of combinations of the columns, which are the columns of a matrix."""
         both = combinations.T @ (combinations.T @ self.matrix).T
         lengths = np.asarray(combinations.multiply(combinations).T @ self.lengths).ravel()
         return self._replace(right=combinations.T @ self.right, matrix=both, lengths=lengths)
 
 
 def error_tests(block: Block, residuals: Sequence[np.ndarray], columns: Sequence[ErrorColumn]) -> ErrorTests:
-    """g and M at the values of a block; `residuals`: tables of the weighted residuals there.
+    """Computes g and M at the values of a block; `residuals`: tables of the weighted residuals at these values.
 
     A large block must be adjusted.
     """
@@ -83,7 +84,7 @@ def error_tests(block: Block, residuals: Sequence[np.ndarray], columns: Sequence
     v = np.concatenate([np.asarray(table).ravel() for table in residuals])
     gram, right, vtpv = (c.T @ c).toarray(), c.T @ v, float(v @ v)
     lengths = np.diagonal(gram).copy()
-    if block.structure.unknowns > MOST_DENSE:
+    if block.structure.n_unknowns > MAX_DENSE:
         explained = _explained_by_elimination(block, centred, unknowns, _transposed_products(unknowns, observations, c))
     else:
         explained, by_step, gain = _explained_densely(unknowns, observations, c, v)
@@ -94,11 +95,11 @@ def error_tests(block: Block, residuals: Sequence[np.ndarray], columns: Sequence
 def _explained_densely(
     unknowns: Unknowns, o: Observations, c: sp.csc_matrix, v: Float[np.ndarray, " observation"]
 ) -> tuple[Float[np.ndarray, "column column"], Float[np.ndarray, " column"], float]:
-    """(A^T C)^T N^-1 (A^T C), the same with A^T v on the right and on both sides, by the whole design matrix."""
+    """The products (A^T C)^T N^-1 (A^T C), also with A^T v on one and both sides, by the full design matrix."""
     free = free_elements(o)
     a = np.asarray(_design(unknowns, o, on_device(free.chunks, np.int32), optimised=False))[: free.number]
     a = a / np.linalg.norm(a, axis=1)[:, None]
-    # by an orthogonal basis: of hardly determined unknowns the normal equations have no factor
+    # by an orthogonal basis: for hardly determined unknowns the normal equations have no factor
     orthogonal, factor = np.linalg.qr(a.T)
     good = np.abs(np.diagonal(factor)) > DETERMINED
     half = np.where(good[:, None], np.concatenate([c.T @ orthogonal, (v @ orthogonal)[None]]).T, 0.0)
@@ -116,7 +117,7 @@ def _design(
 def _explained_by_elimination(
     block: Block, centred: Block, unknowns: Unknowns, products: tuple[np.ndarray, ...]
 ) -> Float[np.ndarray, "column column"]:
-    """(A^T C)^T N^-1 (A^T C) by the elimination of the points."""
+    """The product (A^T C)^T N^-1 (A^T C) by the elimination of the points."""
     centres = np.asarray(block.exterior.projection_centre)
     plan = planned(block.structure, block.groups, centres, 1)
     padded = [np.pad(x, [(0, grid_size(len(x)) - len(x)), *[(0, 0)] * (x.ndim - 1)]) for x in products]
@@ -167,12 +168,12 @@ def _observed_effects(column: ErrorColumn, weights: np.ndarray, first: int) -> t
 
 
 class _ImagePointEffects(NamedTuple):
-    """Minus the changes of all weighted residuals of the rays by a unit error of x and of y, y up."""
+    """Minus the changes of the weighted residuals of the rays for a unit error of x and of y, y up."""
 
     changes: Float[np.ndarray, "2 2 ray"]
 
     def of(self, column: ErrorColumn) -> tuple[np.ndarray, np.ndarray]:
-        """Both residuals of every ray: of an image point that is corrected each depends on both coordinates."""
+        """Derivatives of both residuals of each ray: for a corrected image point each depends on both coordinates."""
         rows = 2 * column.member[:, None] + np.arange(2)
         values = column.values[:, None] * self.changes[column.component, :, column.member]
         return rows.ravel(), values.ravel()
@@ -188,7 +189,7 @@ def _image_point_effects(block: Block, unknowns: Unknowns, o: Observations) -> _
 
 @Compiled
 def _changes_by_image_points(unknowns: Unknowns, o: Observations, upward: Array) -> Float[Array, "2 2 ray"]:
-    """Changes of the weighted residuals by a unit shift of all image points along x and along y."""
+    """Changes of the weighted residuals for a unit shift of all image points along x and along y."""
 
     def residuals(coordinates: Float[Array, "2 ray"]) -> Float[Array, "2 ray"]:
         return ray_residuals(unknowns, eqx.tree_at(lambda x: x.coordinates, o, coordinates)) * o.weights
@@ -200,13 +201,13 @@ def _changes_by_image_points(unknowns: Unknowns, o: Observations, upward: Array)
 
 
 class _FixedEffects(NamedTuple):
-    """Changes of all weighted residuals by a unit shift of all fixed points along each axis, and whose they are."""
+    """Changes of all weighted residuals for a unit shift of all fixed points along each axis, and their points."""
 
     changes: Float[np.ndarray, "3 observation"]
     point: Int[np.ndarray, " observation"]
 
     def of(self, column: ErrorColumn) -> tuple[np.ndarray, np.ndarray]:
-        """Minus the columns of A: the point lies where its rays meet, its given coordinates are wrong."""
+        """Minus the columns of A: the point is at the intersection of its rays, its given coordinates are wrong."""
         rows = [np.flatnonzero(self.point == point) for point in column.member]
         values = [
             -value * self.changes[axis, of_point]
@@ -216,7 +217,7 @@ class _FixedEffects(NamedTuple):
 
 
 def _fixed_effects(block: Block, unknowns: Unknowns, o: Observations) -> _FixedEffects:
-    """Of all points with a fixed coordinate; an observation between two of them is nobody's."""
+    """Changes for all points with a fixed coordinate; an observation between two of them belongs to none."""
     s = block.structure
     fixed = np.any(~s.point_free, axis=1)
     owners = [np.repeat(np.where(fixed[s.ray_point], s.ray_point, -1), 2)]
@@ -235,7 +236,7 @@ def _fixed_effects(block: Block, unknowns: Unknowns, o: Observations) -> _FixedE
 
 @Compiled
 def _changes_by_points(unknowns: Unknowns, o: Observations, moved: Array) -> Float[Array, "3 observation"]:
-    """Changes of the weighted residuals by a unit shift of the `moved` points along X, Y and Z."""
+    """Changes of the weighted residuals for a unit shift of the points `moved` along X, Y and Z."""
     zero, residuals = no_corrections(o), residuals_after(unknowns, o)
 
     def along(axis: Array) -> Float[Array, " observation"]:
@@ -247,9 +248,9 @@ def _changes_by_points(unknowns: Unknowns, o: Observations, moved: Array) -> Flo
 def _transposed_products(
     unknowns: Unknowns, o: Observations, c: sp.csc_matrix
 ) -> tuple[np.ndarray, np.ndarray, np.ndarray, np.ndarray]:
-    """A^T C, vectors first: exterior by image, interior by camera, parameters, points.
+    """Computes A^T C, vectors first: exterior by image, interior by camera, parameters, points.
 
-    The rays that no column touches are left out.
+    Rays without a non-zero element in any column are left out.
     """
     rays = len(o.ray_image)
     touched = np.unique(c.indices[c.indices < 2 * rays] // 2)
@@ -275,6 +276,6 @@ def _transposed_products(
 
 @Compiled
 def _transposed(unknowns: Unknowns, o: Observations, columns: Float[Array, "column observation"]) -> Corrections:
-    """A^T of every column."""
+    """Computes A^T c for each column c."""
     _, transposed = jax.vjp(residuals_after(unknowns, o), no_corrections(o))
     return jax.lax.map(lambda column: transposed(column)[0], columns)

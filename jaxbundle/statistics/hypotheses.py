@@ -1,7 +1,7 @@
-"""Hypotheses: what can be wrong with the observations of a block, each a few columns of errors.
+"""Hypotheses about errors of the observations of a block, each with a few columns of errors.
 
-One row of a table as a whole and by component, a group that disagrees as a whole, and mistakes whose size is known
-beforehand: names or axes that are exchanged.
+Hypotheses are about one row of a table, as a whole and by component, about a group that disagrees as a whole, and
+about mistakes of known size: exchanged names or axes.
 """
 
 from collections.abc import Callable
@@ -21,7 +21,7 @@ ANGLE_TABLES = (*ANGLES, "attitudes")
 
 
 class Cause(Enum):
-    """What is wrong; the order is that of preference where two explain the same."""
+    """The cause of an error; the order is that of preference if two causes explain the same."""
 
     VALUE = "wrong value"
     NAMES = "exchanged names"
@@ -33,10 +33,10 @@ class Cause(Enum):
 
 @dataclass(frozen=True)
 class Hypothesis:
-    """Errors of some observations in a common way: their size is that of the columns.
+    """A hypothesis: common errors of some observations, with unit errors as columns.
 
-    `members` are the rows of tables that it makes wrong, `columns` the numbers of its columns. Units are "" for a pure
-    number. `whole`: no single component of another one, and no mistake of a known size.
+    `members`: the affected rows of tables; `columns`: indices of its columns. Units are "" for a pure number. `whole`:
+    not a single component of another hypothesis, and not a mistake of known size.
     """
 
     subjects: tuple[Subject, ...]
@@ -49,7 +49,7 @@ class Hypothesis:
 
     @property
     def key(self) -> tuple:
-        """Finds it again among other hypotheses of the same block."""
+        """Key that identifies it among other hypotheses of the same block."""
         return self.cause, self.subjects
 
     @property
@@ -59,14 +59,17 @@ class Hypothesis:
 
     @property
     def exact(self) -> bool:
-        """Whether its size is 1 if this is what happened."""
+        """Whether its size is 1 if it is true."""
         return self.cause in (Cause.NAMES, Cause.AXES)
 
 
 @dataclass(frozen=True)
 class Hypotheses:
-    """All hypotheses of a block; `combinations` makes their columns of the `elementary` ones, which are in the block's
-    own tables; `observations`: single ones and rows, which are all tested, if only by w."""
+    """All hypotheses of a block.
+
+    `combinations` makes their columns from the `elementary` ones; `observations`: number of single observations and
+    rows, which are all tested, at least by w.
+    """
 
     every: tuple[Hypothesis, ...]
     elementary: tuple[ErrorColumn, ...]
@@ -75,8 +78,10 @@ class Hypotheses:
 
     @property
     def tests(self) -> int:
-        """Number of tests: all observations and rows, and what is tested besides: coordinates of fixed points, groups
-        and their components. Mistakes of a known size are tested by that size."""
+        """Number of tests: all observations and rows, coordinates of fixed points, groups and their components.
+
+        Mistakes of known size are not additional tests; their size is checked.
+        """
         return self.observations + sum(not h.exact and not h.is_observed for h in self.every)
 
 
@@ -88,7 +93,7 @@ def image_points(block: Block) -> Float[np.ndarray, "ray 2"]:
 
 
 def subject_of(block: Block, table: int, row: int) -> Subject:
-    """A row of a table in the user's names: of a navigation table the image, of a bar its ends."""
+    """The names of a row of a table: the image for a navigation table, the ends for a bar."""
     s = block.structure
     if table == 0:
         return Subject("rays", (s.image_names[s.ray_image[row]], s.point_names[s.ray_point[row]]))
@@ -100,13 +105,13 @@ def subject_of(block: Block, table: int, row: int) -> Subject:
         "parameter": lambda k: s.parameters[k].name,
     }
     touched = list(zip(structure.kind.touches, structure.indices[row].tolist(), strict=True))
-    if structure.kind.touches[0] != "parameter":  # parameters belong to the row only where it is an observed one
+    if structure.kind.touches[0] != "parameter":  # parameters belong to the row only if it observes one
         touched = [(kind, k) for kind, k in touched if kind != "parameter"]
     return Subject(structure.kind.table, tuple(names[kind](k) for kind, k in touched))
 
 
 def unit_of(block: Block, table: int, row: int) -> str:
-    """Unit of the values of a row as the user reads it."""
+    """Unit of the values of a row for the user."""
     s = block.structure
     if table == 0:
         return s.cameras[s.image_camera[s.ray_image[row]]].image_unit

@@ -1,4 +1,4 @@
-"""All hypotheses about a block: which errors of its observations are tested, and the columns they are made of."""
+"""All hypotheses about a block: the tested errors of its observations, and their columns."""
 
 from collections.abc import Iterable, Sequence
 
@@ -21,29 +21,33 @@ from jaxbundle.statistics.hypotheses import (
     unit_of,
 )
 
-RAYS = 40  # with the largest |w| that are tested: an error raises those of its neighbours, seldom of so many
-MEMBERS = 120  # of one table that are tested, those with the largest |w|
-IMAGES = 8  # whose rays are tested as a whole: those with the largest mean w^2
-FEWEST_RAYS = 4  # of an image or camera that is tested as a whole: scale and shift are 3 numbers
-FEWEST_ALIKE = 3  # rows of images with the same beginning of their names that are tested as a group
-WIDEST = 3e7  # rays times columns of images: beyond, only single rays are tested
-FEWEST_COLUMNS, MOST_COLUMNS = 60, 500
-NUMBERS = 3e7  # of all columns by all unknowns: 240 MB
-NEAR_POINTS = 1000  # of all differences of control points that are tested for exchanged names
-SCALED = ("distances", "horizontal_distances", "scale_bars")  # a wrong unit or scale makes all of them wrong alike
+RAYS = 40  # rays with the largest |w| that are tested: an error rarely increases that of more neighbours
+MEMBERS = 120  # rows of one table that are tested, those with the largest |w|
+IMAGES = 8  # images whose rays are tested as a whole: those with the largest mean w^2
+FEWEST_RAYS = 4  # minimum rays of an image or camera that is tested as a whole: scale and shift are 3 numbers
+FEWEST_ALIKE = 3  # minimum rows of images with a common prefix of their names that are tested as a group
+WIDEST = 3e7  # rays times columns of images: above this, only single rays are tested
+FEWEST_COLUMNS, MAX_COLUMNS = 60, 500
+NUMBERS = 3e7  # elements of all columns times all unknowns: 240 MB
+NEAR_POINTS = 1000  # number of pairs of control points that are tested for exchanged names
+SCALED = (
+    "distances",
+    "horizontal_distances",
+    "scale_bars",
+)  # tables in which a wrong unit or scale has a common effect
 
 
 def possible_errors(block: Block, w: Sequence[np.ndarray], computed: Sequence[np.ndarray]) -> Hypotheses:
-    """Hypotheses about the observations of a block.
+    """Makes the hypotheses about the observations of a block.
 
-    `w`: tables of its standardised residuals, by which the most suspect are chosen where there are many; `computed`:
+    `w`: tables of its standardised residuals, which select the most suspect ones if there are many; `computed`:
     values of the groups of observations that follow from the adjusted unknowns (`computed_values`).
     """
     return _Collection(block, [np.abs(np.nan_to_num(table, nan=0.0)) for table in w], computed).everything()
 
 
 def computed_values(block: Block, residuals: Sequence[np.ndarray]) -> list[np.ndarray]:
-    """Computed = observed + residual, for each group of observations, from the tables of weighted residuals."""
+    """Computed values (observed + residual) for each group of observations, from the tables of weighted residuals."""
     return [
         np.asarray(group.values) + np.asarray(group.unweighted(on_device(v)))
         for group, v in zip(block.groups, residuals[1:], strict=True)
@@ -51,7 +55,7 @@ def computed_values(block: Block, residuals: Sequence[np.ndarray]) -> list[np.nd
 
 
 class _Collection:
-    """Columns and hypotheses as they are found."""
+    """Collects columns and hypotheses."""
 
     def __init__(self, block: Block, w: list[np.ndarray], computed: Sequence[np.ndarray]):
         self.block, self.w, self.computed, self.s = block, w, computed, block.structure
@@ -59,10 +63,10 @@ class _Collection:
         self.combinations: list[tuple[Int[np.ndarray, " entry"], Float[np.ndarray, " entry"]]] = []
         self.found: list[Hypothesis] = []
         self.at: dict[tuple[int, int], dict[int, int]] = {}  # table, member -> component -> column
-        self.room = int(np.clip(NUMBERS / max(self.s.unknowns, 1), FEWEST_COLUMNS, MOST_COLUMNS))
+        self.room = int(np.clip(NUMBERS / max(self.s.n_unknowns, 1), FEWEST_COLUMNS, MAX_COLUMNS))
 
     def everything(self) -> Hypotheses:
-        """All of them."""
+        """Returns all hypotheses."""
         self._control()
         for k, group in enumerate(self.block.groups, 1):
             if not _is_control(group):
@@ -78,7 +82,7 @@ class _Collection:
         shape = (len(self.columns), len(self.combinations))
         combinations = sp.csc_matrix((values, (rows, np.concatenate(places))), shape)
         rows = len(self.s.ray_image) + sum(len(group.structure.indices) for group in self.block.groups)
-        return Hypotheses(tuple(self.found), tuple(self.columns), combinations, self.block.observations + rows)
+        return Hypotheses(tuple(self.found), tuple(self.columns), combinations, self.block.n_observations + rows)
 
     # columns
 
@@ -87,12 +91,12 @@ class _Collection:
         return self._combined({len(self.columns) - 1: 1.0})
 
     def _combined(self, parts: dict[int, float]) -> int:
-        """A column from elementary ones."""
+        """Adds a column made from elementary ones."""
         self.combinations.append((np.array(list(parts), int), np.array(list(parts.values()), float)))
         return len(self.combinations) - 1
 
     def _single(self, table: int, member: int, components: Iterable[int]) -> dict[int, int]:
-        """Columns of some components of a row, by component; made once."""
+        """Columns of some components of a row, for each component; made once."""
         own = self.at.setdefault((table, member), {})
         for k in components:
             if k not in own:
@@ -113,7 +117,7 @@ class _Collection:
         unit: str,
         members: Iterable[tuple[int, int]],
     ) -> None:
-        """A row as a whole and, if it has several components, by component."""
+        """Adds a row as a whole and, if it has several components, each component."""
         covered, units = frozenset(members), (unit,) * len(columns)
         self.found.append(Hypothesis((subject,), Cause.VALUE, tuple(columns), tuple(components), units, covered))
         if len(columns) > 1:
@@ -125,7 +129,7 @@ class _Collection:
             ]
 
     def _control(self) -> None:
-        """Control points, whether their coordinates are observed or fixed."""
+        """Adds control points with observed or fixed coordinates."""
         s, tables = self.s, [k for k, group in enumerate(self.block.groups, 1) if _is_control(group)]
         fixed = ~s.point_free
         rays = np.bincount(s.ray_point, minlength=len(s.point_names))
@@ -153,7 +157,7 @@ class _Collection:
             self._add(subject, [columns[c] for c in order], names, s.object_unit, members)
 
     def _members(self, table: int, group: ObservationGroup) -> None:
-        """Rows of any other table."""
+        """Adds rows of any other table."""
         observed = group.structure.observed
         score = np.where(observed.any(1), self.w[table].max(1, initial=0.0) + 1e-9, 0.0)
         for row in _largest(score, min(MEMBERS, self.room // 8)).tolist():
@@ -172,7 +176,7 @@ class _Collection:
             )
 
     def _groups(self) -> None:
-        """All control, and all rows of a table that share their systematic errors, against the rest: a common shift."""
+        """Adds a common shift of all control, and of all rows of a table that share their systematic errors."""
         tables: dict[str, list[tuple[str, list[tuple[int, int]]]]] = {}
         s = self.s
         control = [(FIXED, p) for p in np.flatnonzero(~s.point_free.all(1)).tolist()]
@@ -193,7 +197,7 @@ class _Collection:
                 self._shifted(Subject("navigation", (name,)) if name else Subject(table), table, members)
 
     def _shifted(self, subject: Subject, table: str, members: list[tuple[int, int]]) -> None:
-        """A common shift of some rows, whole and by component."""
+        """Adds a common shift of some rows, as a whole and by component."""
         columns, names, covered = [], [], frozenset(members)
         if len(covered) < 2:
             return
@@ -228,7 +232,7 @@ class _Collection:
             ]
 
     def _scales(self) -> None:
-        """Distances of one table that are wrong by a common factor, and bars that are used several times."""
+        """Adds a common factor of the distances of one table, and of bars that are used several times."""
         for k, group in enumerate(self.block.groups, 1):
             structure = group.structure
             if structure.kind.name not in SCALED or len(structure.indices) < 2:
@@ -243,12 +247,12 @@ class _Collection:
                         name = parameter.owner.name if parameter.owner else parameter.name
                         self._alike(Subject("bars", (name,)), Cause.SHIFT, k, of_bar, np.ones(len(of_bar)))
             else:
-                # not the observed ones: a gross error of one of them is no scale of all
+                # not the observed ones: a gross error of one of them is not a common scale
                 lengths = self.computed[k - 1][:, 0]
             self._alike(Subject(structure.kind.name), Cause.SCALE, k, rows, lengths)
 
     def _alike(self, subject: Subject, cause: Cause, table: int, rows: np.ndarray, values: np.ndarray) -> None:
-        """Members of a table with one component, wrong by a common number times some values."""
+        """Adds members of a table with one component whose errors are a common number times some values."""
         column = self._elementary(ErrorColumn(table, rows, np.zeros(len(rows), int), values))
         unit = "" if cause is Cause.SCALE else self.s.object_unit
         name = "scale" if cause is Cause.SCALE else "length"
@@ -256,7 +260,7 @@ class _Collection:
         self.found.append(Hypothesis((subject,), cause, (column,), (name,), (unit,), covered))
 
     def _images(self) -> None:
-        """All rays of an image, or of a camera with several images: a wrong scale of the image coordinates."""
+        """Adds a wrong scale of the image coordinates of an image, or of a camera with several images."""
         s, rays = self.s, len(self.s.ray_image)
         count = np.bincount(s.ray_image, minlength=len(s.image_names))
         square = np.bincount(s.ray_image, (self.w[0] ** 2).sum(1), minlength=len(s.image_names))
@@ -279,17 +283,17 @@ class _Collection:
             return
         point = image_points(self.block)[ray]
         centre = point.mean(0)
-        # a shift of all image points is hardly told from a turn of the image
+        # a shift of all image points is hardly separable from a rotation of the image
         column = self._elementary(
             ErrorColumn(0, np.repeat(ray, 2), np.tile([0, 1], len(ray)), (point - centre).ravel())
         )
         members = frozenset((0, r) for r in ray.tolist())
         self.found.append(Hypothesis((subject,), Cause.IMAGE, (column,), ("scale",), ("",), members))
 
-    # mistakes of a known size
+    # mistakes of known size
 
     def _exchanged(self) -> None:
-        """Names of two control points, of two rays of an image; X and Y of a control point, x and y of a ray."""
+        """Adds exchanges: names of two control points or two rays of an image; X and Y of a point, x and y of a ray."""
         control = [h for h in self.found if h.whole and h.cause is Cause.VALUE and h.subjects[0].table == "control"]
         rays = [h for h in self.found if h.whole and h.cause is Cause.VALUE and h.subjects[0].table == "rays"]
         places = {id(h): self._given(h) for h in (*control, *rays)}
@@ -325,7 +329,7 @@ class _Collection:
         return values
 
     def _mistake(self, wrong: tuple[Hypothesis, ...], cause: Cause, parts: list[tuple[int, float]]) -> None:
-        """One column: the differences to what should stand there."""
+        """Adds one column: the differences to the exchanged values."""
         up = -1.0 if wrong[0].subjects[0].table == "rays" and self._down(wrong[0]) else 1.0
         sign = {h.columns[1]: up for h in wrong if len(h.columns) > 1}
         combined: dict[int, float] = {}
@@ -349,7 +353,7 @@ def _is_control(group: ObservationGroup) -> bool:
 
 
 def _sharing(block: Block, group: ObservationGroup) -> list[tuple[str, list[int]]]:
-    """Rows of a navigation table by the parameters they share: the group's name, "" where it has none."""
+    """Rows of a navigation table by their common parameters: the name of the group, "" without one."""
     structure = group.structure
     shared = structure.indices[:, 1:]
     sets = []
@@ -364,7 +368,7 @@ def _sharing(block: Block, group: ObservationGroup) -> list[tuple[str, list[int]
 def _alike_named(
     block: Block, images: Int[np.ndarray, " row"], observed: Bool[np.ndarray, " row"]
 ) -> list[tuple[str, list[int]]]:
-    """Rows by what stands before the last number of their image's name, as of a strip or flight "s1_01", "s1_02"."""
+    """Rows by the prefix before the last number of their image's name, such as strip "s1" of "s1_01", "s1_02"."""
     beginnings: dict[str, list[int]] = {}
     for row in np.flatnonzero(observed).tolist():
         name = block.structure.image_names[images[row]].rstrip("0123456789")

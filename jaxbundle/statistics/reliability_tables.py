@@ -1,15 +1,15 @@
-"""Reliability of every observation (Baarda 1968), and the tests of its residual.
+"""Reliability of the observations (Baarda 1968), and tests of their residuals.
 
-    r          redundancy number: the part of an error that its own residual shows
+    r          redundancy number: the part of an error that appears in its residual
     w = v / (sigma sqrt(r))                         standard normal without gross errors; sigma0 = 1
-    tau = w / sigma0_hat                            where only the ratio of the sigmas is known (Pope 1976)
-    MDE = sigma delta0 / sqrt(r)                    smallest error found with the stated power
+    tau = w / sigma0_hat                            if only the ratio of the sigmas is known (Pope 1976)
+    MDE = sigma delta0 / sqrt(r)                    minimum error that is detected with the given power
     delta0 = z(1 - alpha/2) + z(power)
-    external reliability  delta0 sqrt((1 - r) / r)  so many of its standard deviations at most is any function of the
-                                                    unknowns moved by an error of the size of the MDE that is not found
+    external reliability  delta0 sqrt((1 - r) / r)  maximum effect of an undetected error of the size of the MDE on
+                                                    any function of the unknowns, in standard deviations
 
-alpha is the level of one test; `level_of_one` gives it for many at once (Sidak 1967). Tables are laid out like the
-residuals of an adjustment: the rays first, then every group.
+alpha is the level of one test; `level_of_one` computes it for many tests (Sidak 1967). Tables are like the residuals
+of an adjustment: the rays first, then each group.
 """
 
 from typing import NamedTuple
@@ -22,15 +22,15 @@ from jaxbundle.block.given import require_a
 from jaxbundle.numerics.host import on_host
 from jaxbundle.solve.adjustment import Adjustment
 
-LEVEL = 0.001  # of one test, and
+LEVEL = 0.001  # level of one test, and
 POWER = 0.80  # its power: Baarda's usual choice
-UNCONTROLLED = 0.04  # redundancy number below which an error hides behind its own unknowns (Foerstner 1987: 0.01-0.1)
+UNCONTROLLED = 0.04  # redundancy number below which the unknowns absorb an error (Foerstner 1987: 0.01-0.1)
 
 Tables = tuple[Float[np.ndarray, "_member _component"], ...]
 
 
 class Reliability(NamedTuple):
-    """Tables for rays and groups; NaN where nothing is observed, infinite where nothing controls an observation."""
+    """Reliability tables for rays and groups; NaN where not observed, infinite for uncontrolled observations."""
 
     redundancy_numbers: Tables
     w: Tables
@@ -41,7 +41,7 @@ class Reliability(NamedTuple):
 
 
 def level_of_one(level: float, tests: int) -> float:
-    """Level of each of many independent tests, of which one or more fails with probability `level` (Sidak 1967)."""
+    """Level of each of many independent tests, so that one or more fails with probability `level` (Sidak 1967)."""
     return float(-np.expm1(np.log1p(-level) / tests))
 
 
@@ -56,20 +56,20 @@ def critical_w(level: float = LEVEL) -> float:
 
 
 def critical_tau(redundancy: int, level: float = LEVEL) -> float:
-    """Limit of |tau| at the level of one test, from Student's t of one degree of freedom less (Pope 1976).
+    """Limit of |tau| at the level of one test, from Student's t with one degree of freedom less (Pope 1976).
 
     Raises: ValueError for a redundancy below 2.
     """
     if redundancy < 2:
-        raise ValueError(f"the tau test needs a redundancy of 2, there is {redundancy}")
+        raise ValueError(f"the tau test needs a redundancy of at least 2; the redundancy is {redundancy}")
     t = stdtrit(redundancy - 1, 1 - level / 2)
     return float(t * np.sqrt(redundancy) / np.sqrt(redundancy - 1 + t**2))
 
 
 def redundancy_numbers(adjustment: Adjustment) -> Tables:
-    """r of every observation, 0 where nothing is observed; their sum is the redundancy.
+    """Redundancy numbers r of all observations, 0 where not observed; their sum is the redundancy.
 
-    Raises: ValueError where the adjustment has none.
+    Raises: ValueError if the adjustment has none.
     """
     if adjustment.redundancy_numbers is None:
         raise ValueError("this adjustment was made without standard deviations: call adjust(..., precision=True)")
@@ -77,9 +77,9 @@ def redundancy_numbers(adjustment: Adjustment) -> Tables:
 
 
 def reliability(adjustment: Adjustment, level: float = LEVEL, power: float = POWER) -> Reliability:
-    """Reliability of all observations; the rays of a robust adjustment with the weights of its last round.
+    """Computes the reliability of all observations; for a robust adjustment with the weights of its last round.
 
-    Raises: ValueError where the adjustment has no redundancy numbers.
+    Raises: ValueError if the adjustment has no redundancy numbers.
     """
     require_a(Adjustment, adjustment, "statistics.reliability")
     numbers = redundancy_numbers(adjustment)
@@ -91,7 +91,9 @@ def reliability(adjustment: Adjustment, level: float = LEVEL, power: float = POW
     for r, v, is_observed, sigma in zip(numbers, adjustment.weighted_residuals, observed, sigmas, strict=True):
         r = np.where(is_observed, np.clip(r, 0.0, 1.0), np.nan)
         with np.errstate(divide="ignore", invalid="ignore"):
-            controlled = r > np.finfo(float).eps ** 0.5  # below, rounding makes residual and number
+            controlled = (
+                r > np.finfo(float).eps ** 0.5
+            )  # below this, residual and redundancy number are rounding errors
             w = np.where(controlled, on_host(v) / np.sqrt(r), np.where(is_observed, 0.0, np.nan))
             mde = np.where(controlled, sigma * delta / np.sqrt(r), np.where(is_observed, np.inf, np.nan))
             external = np.where(controlled, delta * np.sqrt((1 - r) / r), np.where(is_observed, np.inf, np.nan))

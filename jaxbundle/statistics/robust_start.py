@@ -1,10 +1,10 @@
-"""Values of the unknowns that large errors have not drawn aside, for tests that are linear.
+"""Values of the unknowns without the influence of large errors, for linear tests.
 
-Least squares spread an error of a thousand sigmas over the whole block; there its neighbours look as wrong as itself.
-With weights that fall with the residuals, of all observations alike, the block comes back to where the others put it:
+Least squares distribute an error of a thousand sigmas over the whole block, so its neighbours also seem wrong. With
+weights of all observations that decrease with the residuals, the other observations determine the block:
 
-    first    w = 1 / max(1, |v| / k s)          nearly least absolute values: has one minimum (Huber 1964)
-    then     w = 1 / (1 + (v / k s)^2)^2        of what is far off nothing is left (Geman and McClure 1985)
+    first    w = 1 / max(1, |v| / k s)          nearly minimum absolute values: has one minimum (Huber 1964)
+    then     w = 1 / (1 + (v / k s)^2)^2        large residuals have no influence (Geman and McClure 1985)
 
 v are residuals over their sigmas, s their scale, 1.48 times the median of |v|, and at least 1.
 """
@@ -22,23 +22,23 @@ from jaxbundle.numerics.host import on_device
 from jaxbundle.solve.adjustment import Adjustment
 from jaxbundle.solve.attempt import attempt
 
-LIMIT = 2.0  # k: normal errors of this size lose nothing at first
+LIMIT = 2.0  # k: normal errors up to this size have full weight at first
 FIRST, THEN = 3, 3  # rounds
 LEAST = 1e-6  # weight
-NORMAL = 1.4826  # standard deviation over median of the absolute values of normal errors
+NORMAL = 1.4826  # ratio of standard deviation and median of the absolute values of normal errors
 
 Members = tuple[Float[np.ndarray, " member"], ...]
 
 
 class RobustPoint(NamedTuple):
-    """A block at robust values of its unknowns, and its residuals over the sigmas given."""
+    """A block at robust values of its unknowns, and its residuals over the given sigmas."""
 
     block: Block
     weighted_residuals: tuple[np.ndarray, ...]
 
 
 def robust_point(adjustment: Adjustment) -> RobustPoint | None:
-    """The robust values; None where the iterations do not converge."""
+    """Computes the robust values; None if the iterations do not converge."""
     given = adjustment.block
     residuals = tuple(np.asarray(v) for v in adjustment.weighted_residuals)
     block = given
@@ -54,7 +54,7 @@ def robust_point(adjustment: Adjustment) -> RobustPoint | None:
 
 
 def with_unknowns_of(block: Block, other: Block) -> Block:
-    """The observations and fixed coordinates of a block, the unknowns of another of the same structure."""
+    """The observations and fixed coordinates of a block with the unknowns of another one of the same structure."""
     points = np.where(block.structure.point_free, np.asarray(other.object_points), np.asarray(block.object_points))
     return eqx.tree_at(
         lambda b: (b.exterior, b.interior, b.parameters, b.object_points),
@@ -64,7 +64,7 @@ def with_unknowns_of(block: Block, other: Block) -> Block:
 
 
 def _weights(residuals: Sequence[np.ndarray], redescending: bool) -> Members:
-    """Of all members: the components of one have the weight of the worst."""
+    """Weights of all members: all components of a member have the minimum weight."""
     sizes = np.concatenate([np.abs(v[v != 0]) for v in residuals])
     scale = LIMIT * max(NORMAL * float(np.median(sizes)), 1.0) if len(sizes) else 1.0
     relative = [np.abs(v).max(1, initial=0.0) / scale for v in residuals]
@@ -74,7 +74,7 @@ def _weights(residuals: Sequence[np.ndarray], redescending: bool) -> Members:
 
 
 def _weighted(given: Block, start: Block, weights: Members) -> Block:
-    """The block with these weights besides its own, at the unknowns of `start`."""
+    """The block with these additional weights, at the unknowns of `start`."""
     block, factors = with_unknowns_of(given, start), [1 / np.sqrt(w)[:, None] for w in weights]
 
     def scaled(group: ObservationGroup, factor: np.ndarray) -> ObservationGroup:

@@ -1,15 +1,15 @@
-"""The hypotheses that explain the residuals: the strongest first, each tested in the presence of the others.
+"""Selecting the hypotheses that explain the residuals, each tested in the presence of the others.
 
     T = g^T M^+ g of p columns,    F = T / p / max(s^2, 1),    s^2 = (v^T P v - T) / (M - N - p)
 
-T of the hypothesis h in the presence of the accepted ones a follows from M and g with a eliminated,
+T of the hypothesis h in the presence of the accepted ones a follows from M and g after elimination of a,
 
     M' = M - M_a M_aa^+ M_a^T,    g' = g - M_a M_aa^+ g_a
 
-so nothing is adjusted again. A large error raises the residuals of its neighbours (swamping) or hides another one
-(masking): after every acceptance the accepted ones are tested again, each given the others, exchanged for what explains
-more, or dropped. Hypotheses of different p are compared by the probability of their F (Foerstner 1983, Kok 1984,
-Lehmann 2012).
+so no adjustment is repeated. A large error increases the residuals of its neighbours (swamping) or hides another
+one (masking). Therefore after each acceptance all accepted ones are tested again in the presence of the others, and
+replaced by a better explanation or dropped. Hypotheses of different p are compared by the probability of their F
+(Foerstner 1983, Kok 1984, Lehmann 2012).
 """
 
 from collections.abc import Sequence
@@ -22,18 +22,22 @@ from scipy.special import betaln, fdtrc, hyp2f1
 from jaxbundle.statistics.error_columns import ErrorTests
 from jaxbundle.statistics.hypotheses import Cause, Hypothesis
 
-CONTROLLED = 1e-6  # part of an error that the residuals show; of less, rounding is a part
-CONTROLLED_AS_GROUP = 0.01  # of a group: what the unknowns imitate so well is no error of the observations
-LEAST_SCALE = 0.02  # of all rays of an image: less is no wrong resolution but what the camera model leaves
+CONTROLLED = 1e-6  # minimum part of an error in the residuals; a smaller part is affected by rounding
+CONTROLLED_AS_GROUP = 0.01  # for a group: a smaller part means that the unknowns absorb the error
+# relative scale of all rays of an image: smaller ones are errors of the camera model, not a wrong resolution
+MIN_SCALE = 0.02
 TINY = 1e-250  # probabilities below are computed as logarithms
-EXACT = 0.1  # of a mistake whose size is 1: so much may the linear estimate of its size be off beside SURE s.d.
+EXACT = 0.1  # tolerance of the linear estimate of the size of a mistake of size 1, in addition to SURE s.d.
 SURE = 4.0
-AS_GOOD = 4.0  # by so many s^2 may v^T P v of an alternative be larger: a likelihood ratio of exp(2)
+AS_GOOD = 4.0  # maximum increase of v^T P v of an alternative in units of s^2: a likelihood ratio of exp(2)
 
 
 class Tested(NamedTuple):
-    """Hypotheses in the presence of those accepted: T, its degrees of freedom, logarithm of its probability, and how
-    much of it the residuals show (the smallest redundancy number of a combination of its columns)."""
+    """Tests of hypotheses in the presence of the accepted ones.
+
+    T, degrees of freedom, logarithm of the probability, and the part of the error in the residuals (minimum redundancy
+    number of a combination of the columns).
+    """
 
     statistic: Float[np.ndarray, " hypothesis"]
     degrees: Int[np.ndarray, " hypothesis"]
@@ -42,7 +46,7 @@ class Tested(NamedTuple):
 
 
 class Selection:
-    """Tests of hypotheses in the presence of others. `tests` has the columns that the hypotheses number."""
+    """Tests of hypotheses in the presence of others. `tests` has the columns of the hypotheses."""
 
     def __init__(self, tests: ErrorTests, hypotheses: Sequence[Hypothesis], log_level: float):
         self.tests, self.hypotheses, self.log_level = tests, hypotheses, log_level
@@ -57,11 +61,11 @@ class Selection:
         self._known: dict[frozenset[int], Tested] = {}
 
     def columns(self, accepted: Sequence[int]) -> Int[np.ndarray, " column"]:
-        """Columns of some hypotheses."""
+        """Indices of the columns of some hypotheses."""
         return np.array([c for k in accepted for c in self.hypotheses[k].columns], int)
 
     def inverse(self, columns: Int[np.ndarray, " column"]) -> tuple[Float[np.ndarray, "column column"], int]:
-        """M^+ of some columns and its rank."""
+        """The pseudo-inverse M^+ of some columns, and its rank."""
         if not len(columns):
             return np.zeros((0, 0)), 0
         pseudo, ranks, _ = _pseudo_inverses(
@@ -70,7 +74,7 @@ class Selection:
         return pseudo[0], int(ranks[0])
 
     def given(self, accepted: Sequence[int]) -> ErrorTests:
-        """g, M, v^T P v and redundancy after the accepted errors are eliminated."""
+        """Values of g, M, v^T P v and redundancy after elimination of the accepted errors."""
         if not accepted:
             return self.tests
         t, columns = self.tests, self.columns(accepted)
@@ -84,7 +88,7 @@ class Selection:
         )
 
     def tested(self, accepted: Sequence[int]) -> Tested:
-        """All hypotheses in the presence of the accepted ones; each set of these is computed once."""
+        """Tests of all hypotheses in the presence of the accepted ones; each set of these is computed once."""
         key = frozenset(accepted)
         if key not in self._known:
             self._known[key] = self._tested(sorted(key))
@@ -106,12 +110,12 @@ class Selection:
         f = found.statistic / np.maximum(found.degrees, 1) / np.maximum(left, 1.0)
         usable = (found.degrees > 0) & (t.redundancy > found.degrees)
         wrong_size = np.abs(sizes - 1) > EXACT + SURE * deviations * np.sqrt(np.maximum(left, 1.0))
-        usable &= ~(self._exact & wrong_size) & ~(self._scales & (np.abs(sizes) < LEAST_SCALE))
+        usable &= ~(self._exact & wrong_size) & ~(self._scales & (np.abs(sizes) < MIN_SCALE))
         log = np.where(usable, log_probability(f, found.degrees, t.redundancy - found.degrees), 0.0)
         return found._replace(log_probability=log)
 
     def select(self, most: int, start: Sequence[int] = ()) -> list[int]:
-        """Numbers of the hypotheses that explain the residuals together, the most probable first."""
+        """Indices of the hypotheses that together explain the residuals, the most probable first."""
         accepted, seen = self._settled(list(start)), set()
         while len(accepted) < most and tuple(accepted) not in seen:
             seen.add(tuple(accepted))
@@ -123,11 +127,11 @@ class Selection:
         return sorted(accepted, key=lambda k: (order[k], k))
 
     def probability_of(self, number: int, accepted: Sequence[int]) -> float:
-        """Logarithm of the probability of an accepted hypothesis, given the others."""
+        """Logarithm of the probability of an accepted hypothesis in the presence of the others."""
         return float(self.tested([k for k in accepted if k != number]).log_probability[number])
 
     def alternatives(self, number: int, accepted: Sequence[int]) -> list[int]:
-        """Hypotheses about other observations that explain as well what this one does."""
+        """Hypotheses about other observations that are equally good explanations."""
         others = [k for k in accepted if k != number]
         tested, after = self.tested(others), self.tested(accepted)
         t = self.given(accepted)
@@ -143,7 +147,7 @@ class Selection:
         return chosen
 
     def _best(self, accepted: list[int]) -> tuple[int | None, float]:
-        """The most probable hypothesis in the presence of the accepted ones; the first of equals."""
+        """The most probable hypothesis in the presence of the accepted ones; the first of equal ones."""
         tested = self.tested(accepted)
         if not len(tested.statistic):
             return None, 0.0
@@ -156,7 +160,7 @@ class Selection:
         return bool(self.hypotheses[one].members & self.hypotheses[other].members)
 
     def _merged(self, accepted: list[int]) -> list[int]:
-        """Two components of one row are that row as a whole."""
+        """Replaces two components of one row by the whole row."""
         for one in accepted:
             for other in accepted:
                 both = {*self.hypotheses[one].columns, *self.hypotheses[other].columns}
@@ -167,8 +171,10 @@ class Selection:
         return accepted
 
     def _as_group(self, accepted: list[int]) -> list[int]:
-        """Accepted rows as the group to which they belong and those that differ from its common error, if these are
-        fewer: what fewer errors explain as well is the more probable."""
+        """Replaces accepted rows by their group and the rows that differ from its common error, if these are fewer.
+
+        An explanation with fewer errors is more probable.
+        """
         covered = {
             g: [k for k in accepted if k != g and self.hypotheses[k].members < self.hypotheses[g].members]
             for g in self._groups
@@ -186,7 +192,7 @@ class Selection:
         return accepted
 
     def _settled(self, accepted: list[int]) -> list[int]:
-        """Each accepted one exchanged for what explains more given the others, or dropped, until nothing changes."""
+        """Replaces each accepted hypothesis by a better one, or drops it, until nothing changes."""
         accepted = self._as_group(self._merged(accepted))
         for _ in range(len(accepted) + 2):
             before = list(accepted)
@@ -205,7 +211,7 @@ class Selection:
 
 
 def log_probability(f: np.ndarray, one: np.ndarray, two: np.ndarray) -> np.ndarray:
-    """log of the probability that Fisher's F exceeds f, where it is far below the smallest number too."""
+    """Logarithm of the probability that Fisher's F exceeds f, also far below the minimum of float64."""
     one, two, f = np.maximum(one, 1), np.maximum(two, 1), np.maximum(f, 0.0)
     plain = fdtrc(one, two, f)
     log = np.log(np.maximum(plain, TINY))
@@ -220,7 +226,7 @@ def log_probability(f: np.ndarray, one: np.ndarray, two: np.ndarray) -> np.ndarr
 def _pseudo_inverses(
     matrices: Float[np.ndarray, "h p p"], lengths: Float[np.ndarray, "h p"], least: float | Float[np.ndarray, " h"]
 ) -> tuple[Float[np.ndarray, "h p p"], Int[np.ndarray, " h"], Float[np.ndarray, " h"]]:
-    """M^+ of every matrix, its rank, and the smallest eigenvalue of M against C^T C; 0 where nothing is controlled."""
+    """M^+ of each matrix, its rank, and the minimum eigenvalue of M relative to C^T C; 0 if not controlled."""
     scale = np.where(lengths > 0, 1 / np.sqrt(np.where(lengths > 0, lengths, 1.0)), 0.0)
     values, vectors = np.linalg.eigh(matrices * scale[:, :, None] * scale[:, None, :])
     good = values > np.asarray(least).reshape(-1, 1)

@@ -1,13 +1,13 @@
-"""Significance of estimated elements: which of them are as good as 0, looked at together.
+"""Joint significance of estimated elements: which of them do not differ from 0.
 
-Of correlated elements each may be small against its own standard deviation although together they are not. So they are
-held at 0 one after the other, the least significant first. Holding x_a = 0 moves the others and makes them more
-certain,
+Each of several correlated elements may be smaller than its standard deviation, although together they are significant.
+So they are fixed at 0 one after the other, the least significant first. Fixing x_a = 0 changes the others and their
+covariance,
 
     x_b' = x_b - C_ba / C_aa x_a,        C_bb' = C_bb - C_ba C_ab / C_aa        (conditional expectation)
 
-and the next one is judged after that, until all that are left are significant (backward elimination; Draper and Smith
-1998, ch. 15).
+and the next one is tested with these values, until all remaining ones are significant (backward elimination; Draper and
+Smith 1998, ch. 15).
 """
 
 import numpy as np
@@ -16,20 +16,25 @@ from jaxtyping import Bool, Float
 from jaxbundle.solve.adjustment import Adjustment
 
 SIGNIFICANT = 2.0  # standard deviations: 5 % of elements that are truly 0 exceed it
-WITHOUT_ZERO = ("directions", "scale_bars", "planes", "lines")  # kinds whose parameters are not expected to be 0
+WITHOUT_ZERO = (
+    "directions",
+    "scale_bars",
+    "planes",
+    "lines",
+)  # kinds with parameters for which 0 is not a special value
 NEVER_ZERO = (
     "principal_distance",
     "x0",
     "y0",
     "pixel_size",
     "y_axis",
-)  # elements of a camera for which 0 has no meaning
+)  # elements of a camera for which 0 is not a special value
 
 
 def insignificant(
     values: Float[np.ndarray, " element"], covariance: Float[np.ndarray, "element element"]
 ) -> tuple[list[int], Float[np.ndarray, " element"]]:
-    """Elements that may be held at 0, in the order of holding them, and |value| / sd of each when it was judged."""
+    """Elements that may be fixed at 0, in the order of the tests, and |value| / sd of each at its test."""
     x, c = np.array(values, float), np.array(covariance, float)
     left, held = list(range(len(x))), []
     ratios = np.full(len(x), np.inf)
@@ -48,7 +53,7 @@ def insignificant(
 
 
 def tested_parameters(adjustment: Adjustment) -> Bool[np.ndarray, " parameter"]:
-    """Unknown parameters for which 0 has a meaning and a standard deviation is known."""
+    """Mask of unknown parameters for which 0 is a special value and a standard deviation is known."""
     structure, tested = adjustment.block.structure, adjustment.block.structure.parameter_free
     if adjustment.cofactors is None:
         return np.zeros_like(tested)
@@ -61,7 +66,7 @@ def tested_parameters(adjustment: Adjustment) -> Bool[np.ndarray, " parameter"]:
 
 
 def parameter_ratios(adjustment: Adjustment) -> Float[np.ndarray, " parameter"]:
-    """|value| / sd of each parameter; NaN where it tells nothing: held, not determined, or 0 has no meaning."""
+    """Ratio |value| / sd of each parameter; NaN where it has no meaning: fixed, undetermined, or 0 not special."""
     tested = tested_parameters(adjustment)
     if not tested.any():
         return np.full(len(tested), np.nan)

@@ -1,7 +1,7 @@
 """Data snooping (Baarda 1968): the most suspect observation is removed, the block is adjusted again, and so on.
 
-The suspicions are those of `suspects`: a control point that is wrong as a whole is removed as a whole, a fixed one gets
-unknown coordinates. `suspects` reports a group that disagrees as a whole; such a group is not removed.
+The suspicions come from `suspects`: a control point that is wrong as a whole is removed as a whole, a fixed one gets
+unknown coordinates. Groups that disagree as a whole are reported by `suspects`, but not removed.
 """
 
 import dataclasses
@@ -23,10 +23,10 @@ SINGLE = (Cause.VALUE, Cause.NAMES, Cause.AXES)
 
 
 class Removed(NamedTuple):
-    """One removed row in the user's names, its component "" if all were removed, and sigma0 after.
+    """One removed row with its names, its component ("" for all), and sigma0 after the removal.
 
-    Before: the root of its T as `w`, |w| of one component; residual and redundancy number of its worst component, NaN
-    if it is fixed.
+    From before the removal: the root of its T as `w` (|w| for one component); residual and redundancy number of its
+    worst component, NaN if it was fixed.
     """
 
     table: str
@@ -46,7 +46,7 @@ class Removed(NamedTuple):
 
 
 class Snooping(NamedTuple):
-    """The adjustment without what was removed, and what was, in order. `complete`: nothing suspect is left."""
+    """The adjustment without the removed rows, and these rows in order. `complete`: whether no suspect remains."""
 
     adjustment: Adjustment
     removed: tuple[Removed, ...]
@@ -56,10 +56,10 @@ class Snooping(NamedTuple):
 def snoop(adjustment: Adjustment, level: float = LEVEL, most: int = 50) -> Snooping:
     """Removes suspect observations one by one, and adjusts again with the options of the adjustment.
 
-    `level`: of all tests together; `most`: removals at most. A robust adjustment, whose residuals its own weights have
-    made small, is returned as it is.
+    `level`: level of all tests together; `most`: maximum number of removals. A robust adjustment is returned unchanged,
+    as its weights make residuals small.
 
-    Raises: ValueError where the adjustment has no redundancy numbers, and for sensors that are not photographs.
+    Raises: ValueError if the adjustment has no redundancy numbers, and for sensors other than photographs.
     """
     require_a(Adjustment, adjustment, "snoop")
     require_photographs(adjustment.block, "snoop")
@@ -76,7 +76,7 @@ def snoop(adjustment: Adjustment, level: float = LEVEL, most: int = 50) -> Snoop
 
 
 def _worst(adjustment: Adjustment, level: float) -> tuple[tuple[tuple[int, int, int], ...], Removed] | None:
-    """Table, row and component of the most suspect observations, and their description; None where none is."""
+    """Table, row and component of the most suspect observations, and their description; None without suspects."""
     found = find_suspects(adjustment, level)
     for suspicion, observations in zip(found.suspicions, found.observations, strict=True):
         if suspicion.cause not in SINGLE:
@@ -108,7 +108,7 @@ def _without(block: Block, observations: tuple[tuple[int, int, int], ...]) -> Bl
     for image, name in {
         (s.ray_image[row], s.point_names[s.ray_point[row]]) for table, row, _ in observations if not table
     }:
-        s = block.structure  # a point that is left with one ray is gone, and all numbers behind it are others
+        s = block.structure  # a point with only one remaining ray is removed too, which changes all later indices
         if name in s.point_names:
             rays = (s.ray_image == image) & (s.ray_point == s.point_names.index(name))
             block = without_ray(block, int(np.argmax(rays))) if rays.any() else block
@@ -116,7 +116,7 @@ def _without(block: Block, observations: tuple[tuple[int, int, int], ...]) -> Bl
 
 
 def describe(block: Block, table: int, row: int, component: int) -> tuple[tuple[str, ...], str, str]:
-    """Names of what an observation touches, its table and its component; a ray is removed whole."""
+    """Names of the entities of an observation, its table and its component; a ray is removed as a whole."""
     s = block.structure
     if table == 0:
         return (s.image_names[s.ray_image[row]], s.point_names[s.ray_point[row]]), "ray", ""

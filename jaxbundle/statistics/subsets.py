@@ -1,7 +1,7 @@
-"""Subsets of the observations, by what they are: they may have a variance component, or an influence, of their own.
+"""Subsets of the observations, for example with their own variance component or influence.
 
-A subset is a mask over the image coordinates and one over the components of every group of `block.groups`. Subsets are
-met with & and joined with |, as `control_rays(block) & camera_rays(block, "left")`.
+A subset has a mask for the image coordinates and one for the components of each group of `block.groups`. & is the
+intersection and | the union of subsets, such as `control_rays(block) & camera_rays(block, "left")`.
 """
 
 import dataclasses
@@ -22,14 +22,14 @@ Z = ("Z",)
 
 @dataclass(frozen=True, eq=False)
 class Subset:
-    """A name and masks, a table for the rays and for every group, as the tables of residuals."""
+    """A subset: a name and masks, one for the rays and one for each group, like the tables of residuals."""
 
     name: str
     masks: tuple[Mask, ...]
 
     @property
     def count(self) -> int:
-        """Number of observations."""
+        """Number of observations of the subset."""
         return int(sum(mask.sum() for mask in self.masks))
 
     def __and__(self, other: "Subset") -> "Subset":
@@ -41,37 +41,37 @@ class Subset:
         return Subset(f"{self.name} and {other.name}", masks)
 
     def named(self, name: str) -> "Subset":
-        """The same observations under another name."""
+        """The same subset with another name."""
         return dataclasses.replace(self, name=name)
 
 
 def all_observations(block: Block, name: str = "all observations") -> Subset:
-    """Everything observed."""
+    """The subset of all observations."""
     rays = np.ones((len(block.structure.ray_image), block.structure.model.components), bool)
     return Subset(name, (rays, *(group.structure.observed for group in block.groups)))
 
 
 def image_coordinates(block: Block) -> Subset:
-    """Both coordinates of every ray."""
+    """The subset of both coordinates of all rays."""
     return _rays(block, "image coordinates", np.ones(len(block.structure.ray_image), bool))
 
 
 def control_rays(block: Block) -> Subset:
-    """Group I of the text 001: image coordinates of control points, those with a held or an observed coordinate."""
+    """Group I of Text 001: image coordinates of control points, which have a fixed or observed coordinate."""
     require_a(Block, block, "statistics.control_rays")
     return _rays(block, "rays of control points", is_control_point(block)[block.structure.ray_point])
 
 
 def tie_rays(block: Block) -> Subset:
-    """Group II of the text 001: image coordinates of all other points."""
+    """Group II of Text 001: image coordinates of all other points."""
     require_a(Block, block, "statistics.tie_rays")
     return _rays(block, "rays of tie points", ~is_control_point(block)[block.structure.ray_point])
 
 
 def camera_rays(block: Block, camera: str) -> Subset:
-    """Image coordinates measured on the images of one camera.
+    """The subset of image coordinates on the images of one camera.
 
-    Raises: ValueError for an unknown name, as all that take names.
+    Raises: ValueError for an unknown name, as in all functions with names.
     """
     require_a(Block, block, "statistics.camera_rays")
     names = tuple(camera.name for camera in block.structure.cameras)
@@ -80,14 +80,14 @@ def camera_rays(block: Block, camera: str) -> Subset:
 
 
 def image_rays(block: Block, images: Collection[str], name: str) -> Subset:
-    """Image coordinates measured on some images, as those of a strip; `name` is the strip's."""
+    """The subset of image coordinates on some images, such as a strip; `name` is the name of the strip."""
     require_a(Block, block, "statistics.image_rays")
     numbers = _numbers("image", block.structure.image_names, images)
     return _rays(block, name, np.isin(block.structure.ray_image, numbers))
 
 
 def observations_of_kind(block: Block, kind: str, components: Collection[str] | None = None) -> Subset:
-    """All observations of a kind by its name, or some components, such as XY or Z of "control".
+    """The subset of observations of a kind by its name, or of some components, such as XY or Z of "control".
 
     "stations" are observed projection centres without systematic errors, "gnss_stations" those with such errors.
 
@@ -112,7 +112,7 @@ def observations_of_kind(block: Block, kind: str, components: Collection[str] | 
 
 
 def control_point(block: Block, point: str) -> Subset:
-    """The observed coordinates of one control point."""
+    """The subset of the observed coordinates of one control point."""
     require_a(Block, block, "statistics.control_point")
     (number,) = _numbers("point", block.structure.point_names, [point])
 
@@ -122,7 +122,7 @@ def control_point(block: Block, point: str) -> Subset:
 
     subset = _members(block, f"control point {point}", chosen)
     if subset.count == 0:
-        raise ValueError(f"point {point} has no observed coordinates; to judge those that are held give them a sigma")
+        raise ValueError(f"point {point} has no observed coordinates; give fixed coordinates a sigma to include them")
     return subset
 
 
@@ -132,33 +132,33 @@ def observed_points(block: Block) -> tuple[str, ...]:
 
 
 def all_control(block: Block) -> Subset:
-    """Group III of the text 001: everything observed that is no image coordinate."""
+    """Group III of Text 001: all observations other than image coordinates."""
     require_a(Block, block, "statistics.all_control")
     return _members(block, "all control", lambda group: group.structure.observed)
 
 
-def three_groups(block: Block) -> tuple[Subset, ...]:
-    """Groups I and II of the text 001 and, in place of group III, one subset a kind of observation."""
-    require_a(Block, block, "statistics.three_groups")
+def default_groups(block: Block) -> tuple[Subset, ...]:
+    """Groups I and II of Text 001 and, instead of group III, one subset per kind of observation."""
+    require_a(Block, block, "statistics.default_groups")
     kinds = dict.fromkeys(group.structure.kind.name for group in block.groups)
     subsets = control_rays(block), tie_rays(block), *(observations_of_kind(block, kind) for kind in kinds)
     return tuple(subset for subset in subsets if subset.count)
 
 
 def require_whole_members(block: Block, subset: Subset) -> None:
-    """Raises ValueError where a subset takes some of the correlated components of a member: they have no own weight."""
+    """Raises ValueError if a subset contains only some of the correlated components of a member."""
     for group, mask in zip(block.groups, subset.masks[1:], strict=True):
         observed = group.structure.observed
         split = mask.any(1) & (mask != observed).any(1)
         if group.covariances is not None and split.any():
             raise ValueError(
-                f"{subset.name} takes some of the components of {group.structure.kind.name}, which are correlated with"
-                " the others: take whole rows of the table, or give sigmas in place of covariances"
+                f"{subset.name} contains some components of {group.structure.kind.name}, which are correlated with"
+                " the others: use whole rows of the table, or give sigmas instead of covariances"
             )
 
 
 def is_control_point(block: Block) -> Bool[np.ndarray, " point"]:
-    """Points with a held coordinate, or one that is observed in the object system."""
+    """Mask of points with a coordinate that is fixed or observed in the object system."""
     return np.any(~block.structure.point_free, axis=1) | _is_observed(block)
 
 

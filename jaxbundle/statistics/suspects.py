@@ -1,8 +1,8 @@
-"""The suspect observations of an adjustment, the gravest first, with the size of their errors.
+"""Finding the suspect observations of an adjustment, the most severe first, with the size of their errors.
 
-What is accepted is taken out of the observations by its estimated size and the block is adjusted again, until the sizes
-stay: so a large error, whose effect is not linear, blames nobody else, and sigma0 without it is that of an adjustment.
-Nothing changes its shape, so all rounds run in the program of the first adjustment.
+The estimated sizes of accepted errors are subtracted from the observations and the block is adjusted again, until the
+sizes converge. So a large error with a non-linear effect does not cause false suspicions, and sigma0 without it comes
+from an adjustment. All array shapes are constant, so all rounds use the program of the first adjustment.
 """
 
 import dataclasses
@@ -19,31 +19,31 @@ from jaxbundle.block.findings import Subject
 from jaxbundle.numerics.host import on_device
 from jaxbundle.solve.adjustment import Adjustment, Status
 from jaxbundle.solve.attempt import attempt
-from jaxbundle.statistics.error_columns import FIXED, MOST_DENSE, ErrorColumn, ErrorTests, error_tests
+from jaxbundle.statistics.error_columns import FIXED, MAX_DENSE, ErrorColumn, ErrorTests, error_tests
 from jaxbundle.statistics.hypotheses import Cause, Hypotheses, Hypothesis
 from jaxbundle.statistics.possible_errors import computed_values, possible_errors
 from jaxbundle.statistics.reliability_tables import POWER, critical_w, level_of_one, redundancy_numbers
 from jaxbundle.statistics.robust_start import robust_point, with_unknowns_of
 from jaxbundle.statistics.selection import CONTROLLED, Selection
 
-LEVEL = 0.05  # that any good observation at all is suspected
-MOST = 25  # suspicions: of more errors than that the tests say little
-ROUNDS = 5  # of adjusting again; Gauss-Newton steps of the sizes, of which the last changes nothing
-RAYS_FOR_ONE_ROUND = 200_000  # beyond, one adjustment more is all that the suspects may cost
-LARGE = 3.0  # sigma0 from which on the tests begin at robust values of the unknowns
-EXPLAINED = 1.5  # sigma0 that is left where the residuals are explained
-SAME = 0.05  # change of a size, in its standard deviations, or of itself
-SHOWN = 0.01  # part of an error that its residuals show, below which its size is not told
-NO_ERRORS = 1e-6  # sigma0 of observations that have no errors: residuals are rounding
+LEVEL = 0.05  # probability that any good observation is suspected
+MOST = 25  # maximum number of suspicions: with more errors the tests are not conclusive
+ROUNDS = 5  # maximum rounds of adjustments, and of Gauss-Newton steps of the sizes, the last one without a change
+RAYS_FOR_ONE_ROUND = 200_000  # above this, only one additional adjustment is made
+LARGE = 3.0  # sigma0 above which the tests start at robust values of the unknowns
+EXPLAINED = 1.5  # sigma0 that remains if the residuals are explained
+SAME = 0.05  # maximum change of a converged size, in its standard deviations or relative
+SHOWN = 0.01  # part of an error in its residuals below which its size is not reported
+NO_ERRORS = 1e-6  # sigma0 of observations without errors: residuals are rounding errors
 
 
 class Suspicion(NamedTuple):
-    """What is probably wrong, in the user's names and units.
+    """A probable error in the user's names and units.
 
-    `subjects` are wrong together; each of `alternatives`, in its place, would explain the same. `error`: observed less
-    true value of each component, NaN where the residuals show too little of it; `units`, `deviations` and the minimal
-    detectable errors go with it. `statistic` is T, `probability` its logarithm to the base 10. `shown`: the part of the
-    error that the residuals show. `sigma0_without`: when this error and those of all graver suspicions are taken out.
+    `subjects` are wrong together; each of `alternatives` would be an equally good explanation. `error`: observed minus
+    true value of each component, NaN if the residuals contain too little of it, with `units`, `deviations` and minimal
+    detectable errors. `statistic` is T, `probability` its logarithm to the base 10. `shown`: the part of the error in
+    the residuals. `sigma0_without`: sigma0 without this error and those of all more severe suspicions.
     """
 
     subjects: tuple[Subject, ...]
@@ -62,8 +62,11 @@ class Suspicion(NamedTuple):
 
 
 class Suspects(NamedTuple):
-    """The suspicions, the gravest first; sigma0 when the errors of all of them are taken out; the adjustment without
-    these errors, None where there are none. `observations`: table, row and component of what each says is wrong."""
+    """The suspicions, the most severe first, and the result without their errors.
+
+    sigma0 without all their errors; the adjustment without these errors, None without any. `observations`: table, row
+    and component of each wrong observation.
+    """
 
     suspicions: tuple[Suspicion, ...]
     sigma0: float
@@ -85,16 +88,16 @@ def testable(adjustment: Adjustment) -> bool:
 
 
 def suspects(adjustment: Adjustment, level: float = LEVEL) -> tuple[Suspicion, ...]:
-    """The suspect observations, the gravest first. `level`: of all tests together.
+    """Finds the suspect observations, the most severe first. `level`: of all tests together.
 
-    None where nothing can be tested: without redundancy numbers, not converged, with robust weights, or where the
-    sensors are not photographs.
+    None if no test is possible: without redundancy numbers, not converged, with robust weights, or for sensors
+    other than photographs.
     """
     return find_suspects(adjustment, level).suspicions
 
 
 def find_suspects(adjustment: Adjustment, level: float = LEVEL) -> Suspects:
-    """`suspects`, with the adjustment without their errors."""
+    """Suspects, with the adjustment without their errors."""
     nobody = Suspects((), float(adjustment.sigma0), None, ())
     if not testable(adjustment):
         return nobody
@@ -106,7 +109,7 @@ def find_suspects(adjustment: Adjustment, level: float = LEVEL) -> Suspects:
             break
         again = attempt(with_unknowns_of(with_errors_removed(given, state.elementary()), state.block))
         if again is None or float(again.vtpv) > float(adjustment.vtpv):
-            break  # too far for the linear tests, whose first word stands
+            break  # too far for the linear tests, so their first result is used
         if state.foretells(again):
             state = dataclasses.replace(state, adjustment=again)
             break
@@ -115,11 +118,13 @@ def find_suspects(adjustment: Adjustment, level: float = LEVEL) -> Suspects:
 
 
 def _start(adjustment: Adjustment, level: float) -> "_State":
-    """The tests at the adjustment or, where its residuals are large and that explains them more simply, at values of
-    the unknowns that they have not drawn aside."""
+    """The tests at the adjustment or at robust values of the unknowns.
+
+    The robust values are used for large residuals, if they give a simpler explanation.
+    """
     given, roots = adjustment.block, _roots(adjustment)
     state = _State.of(given, given, _tables(adjustment), roots, level)
-    if float(adjustment.sigma0) < LARGE or given.structure.unknowns > MOST_DENSE:
+    if float(adjustment.sigma0) < LARGE or given.structure.n_unknowns > MAX_DENSE:
         return state
     robust = robust_point(adjustment)
     if robust is None:
@@ -132,14 +137,14 @@ def _tables(adjustment: Adjustment) -> tuple[np.ndarray, ...]:
 
 
 def _roots(adjustment: Adjustment) -> tuple[np.ndarray, ...]:
-    """Roots of the redundancy numbers, infinite where nothing is controlled."""
+    """Roots of the redundancy numbers, infinite for uncontrolled observations."""
     numbers = [np.maximum(r, 0.0) for r in redundancy_numbers(adjustment)]
     return tuple(np.sqrt(np.where(r > CONTROLLED, r, np.inf)) for r in numbers)
 
 
 @dataclasses.dataclass(frozen=True)
 class _State:
-    """The tests at one linearisation. `removed`: sizes of the errors taken out of the observations, by keys."""
+    """The tests at one linearisation. `removed`: sizes of the errors subtracted from the observations, by keys."""
 
     given: Block
     block: Block
@@ -156,7 +161,7 @@ class _State:
     def of(
         cls, given: Block, block: Block, residuals: tuple[np.ndarray, ...], roots: tuple[np.ndarray, ...], level: float
     ) -> "_State":
-        """Nothing is taken out; the unknowns are those of `block`."""
+        """The first state, without subtracted errors; the unknowns are those of `block`."""
         w = tuple(np.abs(v) / root for v, root in zip(residuals, roots, strict=True))
         hypotheses = possible_errors(given, w, computed_values(block, residuals))
         tests = error_tests(block, residuals, hypotheses.elementary).combined(hypotheses.combinations)
@@ -164,13 +169,13 @@ class _State:
         return cls(given, block, w, roots, level, hypotheses, selection, selection.select(MOST), {})
 
     def complexity(self) -> tuple[float, int]:
-        """What is left unexplained, where it is much; then by how many numbers the rest is explained."""
+        """Order of explanations: the unexplained part, if large; then the number of errors."""
         left = self.selection.given(self.accepted)
         sigma0 = float(np.sqrt(max(left.vtpv, 0.0) / max(left.redundancy, 1)))
         return (sigma0 if sigma0 > EXPLAINED else 0.0), self.selection.tests.redundancy - left.redundancy
 
     def next(self, adjustment: Adjustment) -> "_State":
-        """The tests at the adjustment without the errors that this state accepts."""
+        """The tests at the adjustment without the accepted errors of this state."""
         tables, removed = _tables(adjustment), self.sizes
         pairs = zip(self.w, tables, self.roots, strict=True)
         w = tuple(np.maximum(before, np.abs(v) / root) for before, v, root in pairs)
@@ -195,13 +200,13 @@ class _State:
 
     @property
     def sizes(self) -> dict[tuple, Float[np.ndarray, " component"]]:
-        """Estimated sizes of the accepted errors, 1 where the size is known; by the keys of their hypotheses."""
+        """Estimated sizes of the accepted errors, 1 for a known size; by the keys of their hypotheses."""
         estimated, _ = self.estimated
         return {self._of_number(k).key: size for k, size in zip(self.accepted, estimated, strict=True)}
 
     @property
     def estimated(self) -> tuple[list[np.ndarray], list[np.ndarray]]:
-        """Sizes and their standard deviations for sigma0 = 1."""
+        """Estimated sizes and their standard deviations for sigma0 = 1."""
         if not self.accepted:
             return [], []
         columns = self.selection.columns(self.accepted)
@@ -214,7 +219,7 @@ class _State:
 
     @property
     def settled(self) -> bool:
-        """Whether the errors taken out are those accepted, by their sizes too."""
+        """Whether the subtracted errors are the accepted ones, with converged sizes."""
         new = self.sizes
         if set(new) != set(self.removed):
             return False
@@ -225,7 +230,7 @@ class _State:
         return True
 
     def foretells(self, again: Adjustment) -> bool:
-        """Whether the adjustment without the accepted errors is as the linear tests say, and shows no new suspect."""
+        """Whether the adjustment without the accepted errors agrees with the linear tests and has no new suspect."""
         left = self.selection.given(self.accepted)
         variance = max(left.vtpv / max(left.redundancy, 1), 1.0)
         if abs(float(again.vtpv) - left.vtpv) > SAME * variance:
@@ -243,7 +248,7 @@ class _State:
         return self.hypotheses.every[number]
 
     def elementary(self) -> list[tuple[ErrorColumn, float]]:
-        """The accepted errors of the observations themselves."""
+        """The accepted errors in terms of the observations."""
         if not self.accepted:
             return []
         sizes = self.hypotheses.combinations[:, self.selection.columns(self.accepted)] @ np.concatenate(
@@ -260,7 +265,7 @@ class _State:
         return Suspects(tuple(suspicions), sigma0, self.adjustment, observations)
 
     def _observations(self, number: int) -> Iterator[tuple[int, int, int]]:
-        """What a hypothesis says is wrong, in the order of its columns."""
+        """The wrong observations of a hypothesis, in the order of its columns."""
         h = self.hypotheses
         for elementary in np.unique(h.combinations[:, list(h.every[number].columns)].indices):
             column = h.elementary[elementary]
@@ -298,7 +303,7 @@ class _State:
         )
 
     def _user_scale(self, h: Hypothesis) -> np.ndarray:
-        """From the frame of the residuals to the user's: angles in his unit, y of pixels down."""
+        """Conversion from the frame of the residuals to that of the user: angle unit, y of pixels down."""
         s = self.given.structure
         table, member = next(iter(h.members))
         down = table == 0 and s.cameras[s.image_camera[s.ray_image[member]]].image_unit == "px"
@@ -309,7 +314,7 @@ class _State:
 
 
 def _put_back(tests: ErrorTests, columns: np.ndarray, sizes: np.ndarray) -> ErrorTests:
-    """The tests as if the errors that were taken out were still there, by the linear model of now."""
+    """The tests as if the subtracted errors were still present, by the current linear model."""
     change = tests.matrix[:, columns] @ sizes
     vtpv = tests.vtpv - 2 * float(sizes @ tests.right[columns]) + float(sizes @ change[columns])
     return tests._replace(right=tests.right - change, vtpv=vtpv)
@@ -320,13 +325,13 @@ def _log_level(level: float, hypotheses: Hypotheses) -> float:
 
 
 def _non_centrality(log_level: float, degrees: int, redundancy: int) -> float:
-    """lambda of an error that is found with the usual power by a test of F."""
+    """Non-centrality lambda of an error that an F test detects with the usual power."""
     limit = fdtri(degrees, redundancy, -np.expm1(log_level))
     return float(ncfdtrinc(degrees, redundancy, 1 - POWER, limit))
 
 
 def with_errors_removed(block: Block, errors: Sequence[tuple[ErrorColumn, float]]) -> Block:
-    """The block whose observations and fixed coordinates are less by errors of some sizes."""
+    """The block with errors of some sizes subtracted from its observations and fixed coordinates."""
     s = block.structure
     down = np.array([camera.image_unit == "px" for camera in s.cameras])[s.image_camera[s.ray_image]]
     rays, points = np.array(block.rays.coordinates), np.array(block.object_points)

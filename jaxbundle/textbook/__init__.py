@@ -1,4 +1,4 @@
-"""The textbook's formulas as witnesses: printed and corrected, each against automatic derivatives; laws of accuracy.
+"""Formulas of Text 000, printed and corrected, compared with automatic derivatives; laws of accuracy.
 
 partials        the 18 partials and the matrix, printed and corrected
 cross_checks    each of them against autodiff and the complex step

@@ -1,20 +1,20 @@
-"""How errors add up along a strip of n stereopairs, and how far apart control may stand.
+"""Accumulation of errors along a strip of n stereopairs, and the distance between control points.
 
     m_Xn = m_x sqrt(1^2 + 2^2 + ... + n^2) = m_x sqrt((2 n^3 + 3 n^2 + n) / 6)                                   (167)
-    0.58 n^1.5, the printed approximation, is low by 12.6 % at n = 5, by 6.5 % at 10, by 3.2 % at 20             (168)
-    (n + 1/2)^1.5 / sqrt(3) is within 0.42 % from n = 5 on
+    0.58 n^1.5, the printed approximation, is too small by 12.6 % at n = 5, by 6.5 % at 10, by 3.2 % at 20
+    (168) (n + 1/2)^1.5 / sqrt(3) is within 0.42 % from n = 5 on
     free end:          m_C = k_C m m_q n^1.5,    k = 1.1, 0.57, 0.93 f/b in X, Y, Z                        (169), (228)
-    tied, in the middle:  n/2 in place of n, the result divided by sqrt(2): a quarter of the free end              (229)
+    tied, in the middle:  n/2 instead of n, the result divided by sqrt(2): a quarter of the free end              (229)
 
 m is the scale number, m_q the standard deviation of a parallax, f the principal distance, b the photo base; the strip
-is flown along X. The numbers in brackets are the equations of the two source texts of these laws.
+is flown along X. The numbers in brackets are equations of Text 000 and of Text 004 (228, 229).
 
-Two things must be known before the laws are compared with a bundle adjustment. (1) m_q: read as the standard deviation
+Two points are important for a comparison with a bundle adjustment. (1) m_q: read as the standard deviation
 of one image coordinate, the printed constants agree with a bundle of 60 % overlap within 31 %; read as a parallax, the
-difference of two coordinates and sqrt(2) times as large, they are up to 1.9 times pessimistic. (2) "Tied": curvature
-that is a random walk makes a strip behave as a beam. Ends that hold position alone, hinged, leave L^3/48 in the
-middle of the L^3/3 of the free end, in variances: a quarter. Ends that hold scale and azimuth too, clamped, leave
-L^3/192: an eighth. Two XYZ points across each end clamp X and Y, and only hinge Z.
+difference of two coordinates and sqrt(2) times as large, they are up to 1.9 times pessimistic. (2) "Tied": with a
+random walk of the curvature a strip behaves like a beam. Hinged ends, which fix only the position, reduce the variance
+L^3/3 of the free end to L^3/48 in the middle: a quarter of the standard deviation. Clamped ends, which also fix scale
+and azimuth, reduce it to L^3/192: an eighth. Two XYZ points across each end clamp X and Y, but only hinge Z.
 """
 
 from typing import NamedTuple
@@ -22,13 +22,13 @@ from typing import NamedTuple
 import numpy as np
 from jaxtyping import Float
 
-QUARTER, EIGHTH = (3 / 48) ** 0.5, (3 / 192) ** 0.5  # middle over free end of a hinged and of a clamped beam
+QUARTER, EIGHTH = (3 / 48) ** 0.5, (3 / 192) ** 0.5  # ratio of middle and free end of a hinged and of a clamped beam
 ENDS = {
     "hinged": (QUARTER, QUARTER, QUARTER),
     "clamped": (EIGHTH, EIGHTH, QUARTER),
 }
-"""Middle of a tied strip over its free end in X, Y, Z: ends by single points, and by pairs of points across the end."""
-BLOCK_FACTORS = 1.5, 2.0  # by which a block may thin the control of its strips, as printed
+"""Ratio of the middle of a tied strip to a free end in X, Y, Z: ends with single points, or with pairs of points."""
+BLOCK_FACTORS = 1.5, 2.0  # printed factor for larger distances of control in a block
 
 
 class StripLaw(NamedTuple):
@@ -55,27 +55,27 @@ FREE_END_VARIANCES = {
 
 
 class StripSetup(NamedTuple):
-    """What the laws are applied to."""
+    """Parameters of a strip for the laws."""
 
     scale_number: float
     """m."""
     parallax_error: float
-    """m_q; its unit is the unit of all results."""
+    """Parallax error m_q; its unit is the unit of all results."""
     principal_distance: float
-    """f, any unit."""
+    """Principal distance f, any unit."""
     base: float
-    """b at photo scale, in the unit of f."""
+    """Base b at photo scale, in the unit of f."""
 
 
 class Spacing(NamedTuple):
-    """How far apart control may stand for a tolerance in the middle of the strip between."""
+    """Distance between control for a tolerance in the middle of the strip."""
 
     pairs_by_coordinate: Float[np.ndarray, "3"]
-    """n_c of each coordinate."""
+    """Number of stereopairs n_c for each coordinate."""
     pairs: int
-    """n, the smallest of them, rounded down."""
+    """The minimum n of them, rounded down."""
     distance: float
-    """D = n b m, in the unit of b."""
+    """Distance D = n b m, in the unit of b."""
     predicted: Float[np.ndarray, "3"]
     """Standard deviations in the middle with n stereopairs, in the unit of m_q."""
 
@@ -112,7 +112,7 @@ def random_walk_middle(pairs: int) -> float:
     Raises: ValueError for an odd number of pairs.
     """
     if pairs % 2:
-        raise ValueError(f"{pairs} stereopairs have no joint in the middle; give an even number")
+        raise ValueError(f"{pairs} stereopairs have no point in the middle; give an even number")
     return float(np.sqrt(pairs * (pairs**2 + 2) / 48))
 
 
@@ -177,11 +177,11 @@ def spacing(
     n_c = (4 T_c / (k_c m m_q))^(2/3), n the smallest n_c rounded down, D = n b m.
 
     Args:
-        tolerance: largest allowed standard deviations of X, Y, Z in the middle, in the unit of the parallax error.
+        tolerance: maximum allowed standard deviations of X, Y, Z in the middle, in the unit of the parallax error.
         setup: scale number, parallax error, principal distance and base.
         law: the constants, PRINTED or BUNDLE.
 
-    Raises: ValueError for tolerances that are not positive, or that not even one stereopair keeps.
+    Raises: ValueError for tolerances that are not positive, or that one stereopair already exceeds.
 
     Example: `spacing((800, 500, 800), StripSetup(10000, 0.01, 70, 70))`, in mm, gives 9 pairs and 6.3e6 mm.
     """
@@ -197,7 +197,7 @@ def spacing(
 
 
 def block_factor(strips: int) -> float:
-    """How much farther control may stand in S laterally tied strips with control at every strip end: S^(1/3).
+    """Factor for the distance of control in S laterally tied strips with control at each strip end: S^(1/3).
 
     The printed rule for blocks is 1.5 to 2: the factor of 4 to 8 strips.
     """

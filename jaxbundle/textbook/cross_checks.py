@@ -1,17 +1,18 @@
-"""The textbook's partials and its matrix against derivatives of the image equation that nobody wrote by hand.
+"""Comparing the partial derivatives and the matrix of Text 000 with automatic derivatives of the image equation.
 
-Every formula is compared with three derivatives of equation (161) over many random rays:
+Each formula is compared with three derivatives of equation (161) for many random rays:
 
     forward, reverse    automatic differentiation
-    complex             Im F(u + i h) / h with h = 1e-30: no difference is formed, so it is exact to rounding
+    complex             Im F(u + i h) / h with h = 1e-30: without a difference, so it is exact up to rounding
                         (Squire & Trapp 1998); the image equation is analytic in its nine unknowns
 
-The largest deviation counts, in units of the largest movement of the image point that an unknown of the kind can cause:
+The criterion is the maximum deviation, in units of the maximum displacement of the image point by an unknown of the
+kind:
 
-    d / |Z*|    by a shift of one unit of length      d^2 / f    by a turn of one radian      d^2 = f^2 + x^2 + y^2
+    d / |Z*|    by a shift of one unit of length      d^2 / f    by a rotation of one radian      d^2 = f^2 + x^2 + y^2
 
-These are the largest singular values of the two derivatives. They never vanish, so a partial that passes through zero
-is no false alarm, and a wrong sign shows as a deviation of the order of one.
+These are the largest singular values of the two derivatives. They never vanish, so a zero of a partial derivative does
+not cause a false alarm, and a wrong sign gives a deviation of the order of one.
 """
 
 from collections.abc import Callable
@@ -27,7 +28,7 @@ from jaxtyping import Array, Float
 
 from jaxbundle.camera.collinearity import central_projection, collinearity, photo_vector
 from jaxbundle.geometry.rotation import IDENTITY, Rotation, apply, from_alpha_omega_kappa, product, transpose
-from jaxbundle.numerics.float64 import require_float64
+from jaxbundle.numerics.program_cache import prepare_jax
 from jaxbundle.textbook.partials import (
     FORMULAS,
     MATRIX_ELEMENTS,
@@ -39,8 +40,8 @@ from jaxbundle.textbook.partials import (
     regular_partials,
 )
 
-THRESHOLD = 1e-12  # thousands of roundings; a misprint deviates by the order of one
-STEP = 1e-30  # its square vanishes beside every unknown and does not underflow
+THRESHOLD = 1e-12  # thousands of rounding errors; a misprint deviates by the order of one
+STEP = 1e-30  # its square is negligible relative to all unknowns and does not underflow
 WIDTH = 100
 METHODS = ("forward", "reverse", "complex")
 
@@ -57,9 +58,9 @@ class Rays(NamedTuple):
 
 @dataclass(frozen=True)
 class Comparison:
-    """18 formulas against the three derivatives: the largest deviations over one set of rays.
+    """Maximum deviations of 18 formulas from the three derivatives, over one set of rays.
 
-    `opposite` is the largest deviation of the formulas with their signs reversed.
+    `opposite` is the maximum deviation of the formulas with reversed signs.
     """
 
     deviations: Float[np.ndarray, "3 18"]
@@ -67,17 +68,17 @@ class Comparison:
 
     @property
     def worst(self) -> np.ndarray:
-        """The largest deviation of each formula; infinite where a formula has no value."""
+        """The maximum deviation of each formula; infinite if a formula has no value."""
         return self.deviations.max(axis=0)
 
     @property
     def holds(self) -> np.ndarray:
-        """Which formulas hold."""
+        """Mask of the correct formulas."""
         return self.worst <= THRESHOLD
 
     @property
     def wrong_sign(self) -> np.ndarray:
-        """Which formulas hold with the opposite sign only."""
+        """Mask of the formulas that are correct only with the opposite sign."""
         return ~self.holds & (self.opposite.max(axis=0) <= THRESHOLD)
 
 
@@ -97,9 +98,9 @@ class MatrixComparison:
 
 @dataclass(frozen=True)
 class CrossCheck:
-    """The verdict on 18 formulas, as printed or a reader's own, and on the printed matrix.
+    """The verdict on 18 formulas, printed ones or those of the user, and on the printed matrix.
 
-    Ordinary rays have omega within +-85 deg; the singular ones have it at +-90 deg or close to it.
+    For ordinary rays omega is within +-85 deg; for singular ones it is at or close to +-90 deg.
     """
 
     title: str
@@ -113,27 +114,27 @@ class CrossCheck:
 
     @property
     def passed(self) -> bool:
-        """Whether the formulas hold away from omega = +-90 deg, and their form without 0/0 everywhere."""
+        """Whether the formulas are correct away from omega = +-90 deg, and the form without 0/0 everywhere."""
         return all(comparison.holds.all() for comparison in (self.ordinary, self.regular, self.regular_singular))
 
     def table(self) -> str:
-        """All deviations: one line a partial, then one line an element of the matrix."""
+        """All deviations: one line per partial derivative, then one line per element of the matrix."""
         return "\n".join([*_partials_table(self), "", *_matrix_table(self.matrix)])
 
     def verdict(self) -> str:
-        """What holds, what does not, and what is right instead."""
+        """The correct and the wrong formulas, and corrections."""
         lines = [*_verdict_on_formulas(self), *_verdict_on_matrix(self)]
         return "\n".join(fill(line, WIDTH, subsequent_indent="  ") for line in lines)
 
 
 def crosscheck(partials: Formulas | None = None, *, draws: int = 100_000, seed: int = 0) -> CrossCheck:
-    """Compares the printed partials (163), or a reader's own, with the derivatives of the image equation.
+    """Compares the printed partials (163), or those of the user, with derivatives of the image equation.
 
     `partials(rotation, angles, projection_centre, object_point, principal_distance)` returns the 18 partials
     A1 ... A9, B1 ... B9, as `printed_partials` does: `rotation` = (a1, a2, a3, b1, b2, b3, c1, c2, c3), `angles` =
-    (alpha, omega, kappa), two points, f. Each of these scalars is an array with one element a ray.
+    (alpha, omega, kappa), two points, f. Each of these scalars is an array with one element per ray.
     """
-    require_float64()
+    prepare_jax()
     if draws < 1:
         raise ValueError(f"draws is {draws}; a comparison needs at least 1 ray")
     formulas, title = (printed_partials, "as printed") if partials is None else (partials, "as given")
@@ -155,7 +156,7 @@ def crosscheck(partials: Formulas | None = None, *, draws: int = 100_000, seed: 
 
 
 def orthonormality_defect(rotation: Rotation) -> Float[Array, "..."]:
-    """max |R^T R - I|: zero for a rotation."""
+    """The defect max |R^T R - I|, which is zero for a rotation."""
     gram = product(transpose(rotation), rotation)
     return jnp.max(jnp.stack([jnp.abs(g - i) for g, i in zip(gram, IDENTITY, strict=True)]), axis=0)
 
@@ -165,7 +166,7 @@ def _ordinary_omega(rng: np.random.Generator, draws: int) -> np.ndarray:
 
 
 def _singular_omega(rng: np.random.Generator, draws: int) -> np.ndarray:
-    """+-90 deg: every fourth exactly, the others off it by 1e-17 to 0.1 rad on either side."""
+    """Angles near +-90 deg: each fourth exactly, the others with offsets of 1e-17 to 0.1 rad on both sides."""
     offset = 10 ** rng.uniform(-17, -1, draws) * rng.choice([-1.0, 1.0], draws)
     offset[::4] = 0.0
     return (np.pi / 2 + offset) * rng.choice([-1.0, 1.0], draws)
@@ -185,7 +186,7 @@ def _draw(rng: np.random.Generator, omega: np.ndarray) -> Rays:
 
 
 def _complex_step(function: Callable) -> Callable:
-    """The Jacobian of a real analytic function of a vector, as `jax.jacfwd` gives it."""
+    """The Jacobian of a real analytic function of a vector, in the form of `jax.jacfwd`."""
 
     def jacobian(unknowns: Float[Array, " n"], *arguments: Array) -> Float[Array, "m n"]:
         steps = unknowns + 1j * STEP * jnp.eye(len(unknowns))
@@ -196,7 +197,7 @@ def _complex_step(function: Callable) -> Callable:
 
 @partial(jax.jit, static_argnames="matrix")
 def _derivatives(rays: Rays, matrix: Matrix) -> Float[Array, "3 2 9 ray"]:
-    """d(x, y) / d(unknowns) of the image equation by the three methods."""
+    """The derivatives d(x, y) / d(unknowns) of the image equation by the three methods."""
 
     def image_point(unknowns: Array, principal_distance: Array) -> Array:
         x0, y0, z0, alpha, omega, kappa, x, y, z = unknowns
@@ -209,7 +210,7 @@ def _derivatives(rays: Rays, matrix: Matrix) -> Float[Array, "3 2 9 ray"]:
 def _compare(formulas: Formulas, matrix: Matrix, rays: Rays, derivatives: Float[Array, "3 2 9 ray"]) -> Comparison:
     x0, y0, z0, alpha, omega, kappa, x, y, z = rays.unknowns
     rotation, centre, point = matrix(alpha, omega, kappa), (x0, y0, z0), (x, y, z)
-    with np.errstate(all="ignore"):  # 0/0 at omega = +-90 deg is what some formulas are to be caught at
+    with np.errstate(all="ignore"):  # some formulas are 0/0 at omega = +-90 deg, which must be detected
         values = formulas(rotation, (alpha, omega, kappa), centre, point, rays.principal_distance)
     if len(values) != len(NAMES):
         raise ValueError(f"the partials are {len(values)} values; return 18, A1 ... A9 and then B1 ... B9")
@@ -225,9 +226,10 @@ def _largest(
     p: Float[Array, "3 ray"],
     principal_distance: Float[Array, " ray"],
 ) -> tuple[Float[Array, "3 18"], Float[Array, "3 18"]]:
-    """Largest deviation over the rays, with the sign given and with the opposite one, in the units named above.
+    """Maximum deviation over the rays, with the given and with the opposite sign, in the units of this module.
 
-    The printed matrix puts some points behind the camera or far to its side: only rays within 60 deg of its axis count.
+    With the printed matrix some points are behind the camera or far to its side: only rays within 60 deg of the axis
+        count.
     """
     x, y = central_projection((p[0], p[1], p[2]), principal_distance)
     d2 = principal_distance**2 + x**2 + y**2
@@ -238,7 +240,7 @@ def _largest(
 
     def largest(difference: Float[Array, "3 18 ray"]) -> Float[Array, "3 18"]:
         relative = jnp.abs(difference) / jnp.concatenate([unit, unit])
-        relative = jnp.where(jnp.isnan(relative), jnp.inf, relative)  # on a CPU, XLA's maximum passes over NaN
+        relative = jnp.where(jnp.isnan(relative), jnp.inf, relative)  # on a CPU, XLA's maximum ignores NaN
         return jnp.max(jnp.where(in_view, relative, 0.0), axis=-1)
 
     return largest(closed - derivatives), largest(closed + derivatives)
@@ -265,7 +267,7 @@ def _partials_table(check: CrossCheck) -> list[str]:
     )
     rows = [f"{_label(k):12}" + "".join(f"{column[2][k]:12.1e}" for column in columns) for k in range(len(NAMES))]
     return [
-        f"Partials (163), {check.draws} random rays: largest deviation, 1 = largest movement of an image point",
+        f"Partials (163), {check.draws} random rays: maximum deviation, 1 = maximum displacement of an image point",
         f"{'':12}{check.title + ', against':^36}" + "".join(f"{column[0]:>12}" for column in columns[3:]),
         f"{'':12}" + "".join(f"{column[0] if k < 3 else column[1]:>12}" for k, column in enumerate(columns)),
         *rows,
@@ -279,7 +281,7 @@ def _matrix_table(matrix: MatrixComparison) -> list[str]:
         for (name, printed, corrected), deviation in zip(MATRIX_ELEMENTS, matrix.deviations, strict=True)
     ]
     return [
-        "Matrix (164), a w k = alpha omega kappa: largest deviation from the corrected one",
+        "Matrix (164), a w k = alpha omega kappa: maximum deviation from the corrected one",
         f"{'':4}{'as printed':38}{'deviation':>12}  corrected",
         *rows,
         f"max |R^T R - I|: as printed {matrix.printed_defect:.2g}, corrected {matrix.corrected_defect:.1e}",
@@ -299,14 +301,14 @@ def _verdict_on_formulas(check: CrossCheck) -> list[str]:
         lines.append(f"At omega = +-90 deg, or close to it, {_names(lost)} lose their digits (0/0); there use")
         lines += [f"  {NAMES[k]} = {FORMULAS[k]}" for k in lost]
     if (check.regular.holds & check.regular_singular.holds).all():
-        lines.append("The form without 0/0 holds in every attitude, omega = +-90 deg included.")
+        lines.append("The form without 0/0 is correct in all attitudes, including omega = +-90 deg.")
     return lines
 
 
 def _verdict_on_matrix(check: CrossCheck) -> list[str]:
     matrix, holds = check.matrix, check.with_printed_matrix.holds
     lines = [
-        f"The matrix (164) as printed is no rotation, max |R^T R - I| = {matrix.printed_defect:.2g}; "
+        f"The matrix (164) as printed is not a rotation, max |R^T R - I| = {matrix.printed_defect:.2g}; "
         f"{len(matrix.wrong)} elements are wrong. Correct:"
     ]
     lines += [f"  {name} = {corrected}" for name, _, corrected in MATRIX_ELEMENTS if name in matrix.wrong]

@@ -1,4 +1,4 @@
-"""The 18 partials of the image equation in closed form, equations (162)-(164) of the textbook.
+"""The 18 partial derivatives of the image equation in closed form, equations (162)-(164) of Text 000.
 
     V_x = A1 dX0 + A2 dY0 + A3 dZ0 + A4 dalpha + A5 domega + A6 dkappa + A7 dX + A8 dY + A9 dZ + L_x
     V_y = B1 dX0 + B2 dY0 + B3 dZ0 + B4 dalpha + B5 domega + B6 dkappa + B7 dX + B8 dY + B9 dZ + L_y        (162)
@@ -13,8 +13,9 @@ With x, y for x - x0, y - y0, with dX = X - X0 and so on, and Z* = a3 dX + b3 dY
     A6 = y                                                    B6 = -x
     A7, A8, A9 = -A1, -A2, -A3                                B7, B8, B9 = -B1, -B2, -B3                    (163)
 
-All of it is right if a1 ... c3 are those of `from_alpha_omega_kappa`. A1-A3, A7-A9, B1-B3, B7-B9 hold for any matrix,
-A4-A6, B4-B6 for that one only. A5 and B5 are 0/0 at omega = +-90 deg, a horizontal camera looking along the Y axis; by
+All are correct if a1 ... c3 are those of `from_alpha_omega_kappa`. A1-A3, A7-A9, B1-B3, B7-B9 are correct for any
+matrix, A4-A6, B4-B6 only for that one. A5 and B5 are 0/0 at omega = +-90 deg, a horizontal camera looking along the Y
+axis; by
 
     tan w + dY / (Z* cos w) = -(x sin k + y cos k) / f
 
@@ -23,7 +24,7 @@ and the image equation, the partials of the angles are free of it:
     A4 = -f b2 - b3 y + (x / f) (b1 y - b2 x)                 B4 =  f b1 + b3 x + (y / f) (b1 y - b2 x)
     A5 = -f sin k - (x / f) (x sin k + y cos k)               B5 = -f cos k - (y / f) (x sin k + y cos k)
 
-They bear witness to the automatic derivatives of the image equation; no adjustment uses them.
+They verify the automatic derivatives of the image equation; adjustments do not use them.
 """
 
 import jax.numpy as jnp
@@ -56,7 +57,7 @@ FORMULAS = (
     "-(b2 f + b3 y) / Z*",
     "-(c2 f + c3 y) / Z*",
 )
-"""The partials that hold everywhere, in words."""
+"""The partial derivatives that are correct everywhere, as text."""
 
 MATRIX_ELEMENTS = (
     ("a1", "cos a cos k - sin a sin w sin k", "cos a cos k - sin a sin w sin k"),
@@ -73,7 +74,7 @@ MATRIX_ELEMENTS = (
 
 
 def printed_matrix(alpha: Scalar, omega: Scalar, kappa: Scalar) -> Rotation:
-    """The matrix (164) letter by letter: no rotation, with five misprints in four elements (a2 has two)."""
+    """The matrix (164) exactly as printed: not a rotation, with five misprints in four elements (a2 has two)."""
     ca, sa = jnp.cos(alpha), jnp.sin(alpha)
     cw, sw = jnp.cos(omega), jnp.sin(omega)
     ck, sk = jnp.cos(kappa), jnp.sin(kappa)
@@ -93,7 +94,10 @@ def printed_matrix(alpha: Scalar, omega: Scalar, kappa: Scalar) -> Rotation:
 def printed_partials(
     rotation: Rotation, angles: Angles, projection_centre: Vector, object_point: Vector, principal_distance: Scalar
 ) -> Partials:
-    """A1 ... A9, B1 ... B9 letter by letter from (163); `rotation` is the matrix of `angles` (alpha, omega, kappa)."""
+    """The partials A1 ...
+
+    A9, B1 ... B9 exactly as in (163); `rotation` is the matrix of `angles` (alpha, omega, kappa).
+    """
     a1, a2, a3, b1, b2, b3, c1, c2, c3 = rotation
     _, omega, kappa = angles
     f = principal_distance
@@ -127,7 +131,7 @@ def printed_partials(
 def regular_partials(
     rotation: Rotation, angles: Angles, projection_centre: Vector, object_point: Vector, principal_distance: Scalar
 ) -> Partials:
-    """The same 18 partials without 0/0: they hold in every attitude, omega = +-90 deg included."""
+    """The 18 partials in a form without 0/0, correct in all attitudes, including omega = +-90 deg."""
     a1, a2, a3, b1, b2, b3, c1, c2, c3 = rotation
     f = principal_distance
     p = photo_vector(rotation, projection_centre, object_point)

@@ -18,7 +18,7 @@ from typing import NamedTuple
 HERE = Path(__file__).parent
 CORES = len(os.sched_getaffinity(0)) if hasattr(os, "sched_getaffinity") else os.cpu_count() or 1
 SOLVERS = ("dense_schur", "sparse_schur")
-LARGEST_DENSE = 600  # images: beyond, Ceres's dense matrix takes gigabytes
+MAX_DENSE = 600  # images: beyond, Ceres's dense matrix takes gigabytes
 PEERS = {"scipy": 50_000, "gtsam": 50_000, "pycolmap": 1_000_000}  # rays that each is asked to take
 TOLERANCE = "1e-12"  # of Ceres's cost
 CERES_ROW = r"^ +\d+ +\S+ +\S+ +\S+ +\S+ +\S+ +\S+ +\d+ +(\S+) +\S+$"  # iteration to total time; takes iter_time
@@ -158,7 +158,7 @@ def taking_part(runner: Runner, file: Path) -> dict[str, Program]:
         )
     }
     if runner.ceres:
-        for solver in SOLVERS[images > LARGEST_DENSE :]:
+        for solver in SOLVERS[images > MAX_DENSE :]:
             programs[f"Ceres {solver}"] = Program(lambda solver=solver: runner.ceres_solver(file, solver))
     for peer, largest in PEERS.items():
         if rays <= largest and importlib.util.find_spec(peer):

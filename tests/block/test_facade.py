@@ -116,7 +116,7 @@ def test_replaced_values_are_differentiated(block):
 )
 def test_units_of_interior_elements(image_unit, metric, distance, point):
     """With a pixel size the principal distance is in mm, the principal point in px as the rays."""
-    camera = jb.blocks.Camera("c", jb.cameras.CAMERA_MODELS["brown"], image_unit, metric=metric)
+    camera = jb.blocks.Camera("c", jb.cameras.CAMERA_MODELS["brown"], image_unit, principal_distance_in_mm=metric)
     assert camera.unit_of("principal_distance") == distance
     assert camera.unit_of("x0") == camera.unit_of("y0") == point
     assert camera.unit_of("K1") == ""

@@ -126,7 +126,7 @@ def test_numbers_that_are_none(block):
     matrices = np.broadcast_to(np.eye(3) - 1.0, (len(group.values), 3, 3))
     wrong = eqx.tree_at(lambda g: g.covariances, group, jnp.asarray(matrices), is_leaf=lambda x: x is None)
     found = refused(dataclasses.replace(block, groups=(wrong, *block.groups[1:])))
-    assert set(found) == {"the covariances are not those of a positive definite matrix"}
+    assert set(found) == {"the covariance matrix is not positive definite"}
 
 
 ABSURD = {

@@ -12,7 +12,7 @@ from cases.all_observations import navigation, strip
 import jaxbundle.block
 from jaxbundle.block.block import Block
 from jaxbundle.block.geodetic import _BETWEEN, geodetic_kind
-from jaxbundle.block.navigation import ATTITUDES, GNSS
+from jaxbundle.block.navigation import ATTITUDES, GNSS_STATIONS
 from jaxbundle.block.observation_kinds import CONTROL, STATIONS, ObservationKind, interior_priors, observation_group
 from jaxbundle.statistics.subsets import observations_of_kind
 
@@ -45,7 +45,7 @@ def test_stations_with_and_without_systematic_errors_are_two_kinds_of_one_table(
 
 def test_a_subset_has_one_of_them():
     block = _with_plain_station(navigation(strip()))
-    plain, gnss = (observations_of_kind(block, kind.name) for kind in (STATIONS, GNSS))
+    plain, gnss = (observations_of_kind(block, kind.name) for kind in (STATIONS, GNSS_STATIONS))
     number = {group.structure.kind: k for k, group in enumerate(block.groups, 1)}
     assert plain.count == 3 and gnss.count > 3
     assert plain.masks[number[STATIONS]].all() and not plain.masks[number[GNSS]].any()

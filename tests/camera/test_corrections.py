@@ -110,7 +110,7 @@ def test_curvature_of_a_wide_angle_photograph():
         ((500.0, 500.0), "flying_height 500.0 is not above ground_height 500.0"),
         ((-10.0, -50.0), "flying_height -10.0 is not above sea level"),
         ((2.5e6, 0.0), "flying_height 2500000.0 is above the atmosphere"),
-        ((float("nan"), 0.0), "flying_height nan and ground_height 0.0 are no finite numbers"),
+        ((float("nan"), 0.0), "flying_height nan and ground_height 0.0 are not finite numbers"),
     ],
 )
 @pytest.mark.parametrize("coefficient", [refraction_coefficient, curvature_coefficient])

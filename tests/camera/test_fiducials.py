@@ -126,7 +126,7 @@ def film(tmp_path_factory: pytest.TempPathFactory) -> Path:
 def test_film_becomes_a_camera_in_mm(film: Path) -> None:
     block = read_block_folder(film)
     camera = block.structure.cameras[0]
-    assert (camera.image_unit, camera.metric) == ("mm", False)
+    assert (camera.image_unit, camera.principal_distance_in_mm) == ("mm", False)
     np.testing.assert_array_equal(block.interior.elements, [[50.0, 0.1, -0.2, 1.0, 1.0]])
     np.testing.assert_allclose(block.rays.sigmas, 0.5 * PIXEL, rtol=1e-15)
     fits = block.structure.inner_orientations
@@ -153,7 +153,7 @@ def test_adjusted_as_the_same_block_in_mm(film: Path, tmp_path: Path) -> None:
     """sigma0, unknowns, standard deviations and residuals over the pixel; then the report tells of the fits."""
     adjustment = adjust(read_block_folder(film))
     expected = adjust(read_block_folder(mm_folder(tmp_path / "mm", film)))
-    assert adjustment.observations == expected.observations == 102 and adjustment.redundancy == 102 - 58
+    assert adjustment.n_observations == expected.n_observations == 102 and adjustment.redundancy == 102 - 58
     assert float(adjustment.sigma0) == pytest.approx(float(expected.sigma0), rel=1e-9)
     assert 0.3 / 0.5 * 0.7 < float(adjustment.sigma0) < 0.3 / 0.5 * 1.5  # rays and fiducials with errors of 0.3 px
     for found, other in (

@@ -11,7 +11,7 @@ import numpy as np
 from jaxbundle.block.block import Block, Parameter
 from jaxbundle.block.datum import with_datum
 from jaxbundle.block.geodetic import LINES, PLANES, geodetic_kind
-from jaxbundle.block.navigation import ATTITUDES, GNSS
+from jaxbundle.block.navigation import ATTITUDES, GNSS_STATIONS
 from jaxbundle.block.observation_kinds import CONTROL, PARAMETERS, ObservationKind, interior_priors, observation_group
 from jaxbundle.block.residuals import group_arrays, group_residuals
 from jaxbundle.block.unknowns import unknowns_of
@@ -109,7 +109,7 @@ def navigation(block: Block) -> Block:
     block, n = with_parameters(block, values, held)
     images = np.arange(len(block.structure.image_names))
     time = np.linspace(-1, 1, len(images))[:, None]
-    block = observed(block, GNSS, [[i, *n[:9]] for i in images], 0.05, time)
+    block = observed(block, GNSS_STATIONS, [[i, *n[:9]] for i in images], 0.05, time)
     attitudes = ATTITUDES[block.structure.rotation_system.name]
     block = observed(block, attitudes, [[i, *n[9:]] for i in images], 2e-4, time)
     return observed(block, PARAMETERS, n[3:9, None], 1.0)

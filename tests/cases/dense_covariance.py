@@ -7,7 +7,7 @@ import numpy as np
 import scipy.linalg
 
 from jaxbundle.block.block import Block
-from jaxbundle.block.navigation import GNSS
+from jaxbundle.block.navigation import GNSS_STATIONS
 from jaxbundle.block.observation_kinds import STATIONS
 
 FIXED = 1e12  # weight of a fixed coordinate
@@ -62,12 +62,12 @@ def _rows(images: np.ndarray) -> np.ndarray:
 def _navigation(normal: np.ndarray, group, images: int, unit: float) -> None:
     """Observed centres, with shift and drift where they have them."""
     kind = group.structure.kind
-    if kind not in (STATIONS, GNSS):
+    if kind not in (STATIONS, GNSS_STATIONS):
         return
     for row, sigmas, constants in zip(group.structure.indices, group.sigmas, group.constants, strict=True):
         for axis in range(3):
             at, values = [6 * row[0] + axis], [1.0]
-            if kind == GNSS:
+            if kind == GNSS_STATIONS:
                 at += [6 * images + row[4 + axis], 6 * images + row[7 + axis]]
                 values += [1.0, float(constants[0])]
             normal[np.ix_(at, at)] += np.outer(values, values) * (unit / float(sigmas[axis])) ** 2

@@ -38,7 +38,7 @@ def assert_dense_steps(block: Block, reduced: Method, devices: int = 1) -> None:
     """From approximate values far off, at dampings from none to a gradient step."""
     unknowns, observations = centred(block)
     system = dense_system(unknowns, observations)
-    assert len(system.lengths) == block.structure.unknowns
+    assert len(system.lengths) == block.structure.n_unknowns
     # the last digit of values of some kilometres is felt by steps of a hundredth of a millimetre
     rounding = np.finfo(float).eps * np.linalg.norm(system.lengths * sizes(unknowns, observations))
     for damping, stepped in zip(DAMPINGS, block_steps(block, DAMPINGS, reduced, devices), strict=True):

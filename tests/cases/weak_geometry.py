@@ -42,7 +42,7 @@ def bent_block(noise: float) -> Block:
     (camera,) = block.structure.cameras
     structure = dataclasses.replace(
         block.structure,
-        cameras=(dataclasses.replace(camera, image_unit="mm", metric=False, model=BENT),),
+        cameras=(dataclasses.replace(camera, image_unit="mm", principal_distance_in_mm=False, model=BENT),),
         interior_free=np.array([[True, False, False, False]]),
     )
     block = dataclasses.replace(block, structure=structure)

@@ -14,7 +14,7 @@ import numpy as np
 import pytest
 from cases.simulated_blocks import small_block
 
-from jaxbundle.cli import adjusting, codes, demo, runtime
+from jaxbundle.cli import adjusting, codes, demo, progress
 from jaxbundle.cli.interruption import Interruption
 from jaxbundle.cli.progress import HEADER, ProgressLines
 from jaxbundle.io import read, write_block_folder
@@ -71,7 +71,7 @@ def test_ctrl_c_keeps_the_last_accepted_unknowns(run, folder, tmp_path, monkeypa
     code, out, _ = run("adjust", folder, "--no-precision")
     report = json.loads((tmp_path / "small-adjusted" / "report.json").read_text())
     assert (code, report["status"], report["iterations"]) == (1, "interrupted", 3)
-    assert "the last accepted unknowns are kept" in out
+    assert "has the last accepted unknowns" in out
     assert report["vtPv"] < report["vtPv_at_start"]
 
 
@@ -277,9 +277,9 @@ def test_a_block_too_large_for_an_engine_is_2(run, folder, monkeypatch):
         (("--method", "newton"), "'newton' is not one of"),
         (
             ("--method", "strips", "--polynomials", "conformal", "--degree", "3"),
-            "--polynomials conformal are of degree 2",
+            "--polynomials conformal require degree 2",
         ),
-        (("--method", "models", "--stop", "parallax", "--limit", "1"), "belong to the bundle"),
+        (("--method", "models", "--stop", "parallax", "--limit", "1"), "require the bundle"),
         (("--stop", "points"), "--stop points needs a --limit"),
         (("--robust-limit", "3"), "--robust-limit requires --robust"),
         (("--robust", "huber", "--robust-limit", "0"), "--robust-limit 0.0 is not positive"),
@@ -360,20 +360,41 @@ def test_progress_on_a_terminal(monkeypatch, capsys):
     assert out == "" and HEADER in err and "rejected" in err and "adjusting" in err and "nan" not in err
 
 
-def test_cache_is_in_the_users_cache_folder(monkeypatch, tmp_path):
-    monkeypatch.setenv("XDG_CACHE_HOME", str(tmp_path))
-    assert runtime.cache_folder() == tmp_path / "jaxbundle"
-    for given in ("", "relative"):
-        monkeypatch.setenv("XDG_CACHE_HOME", given)
-        assert runtime.cache_folder() == Path.home() / ".cache" / "jaxbundle"
-    monkeypatch.setenv("HOME", "relative")
-    assert runtime.cache_folder() is None
+def test_phases_and_the_time_left_on_a_terminal(monkeypatch, capsys):
+    """An iteration of 20 s whose steps shrink tenfold: at 1e-4 the limit of 1e-8 is four iterations away."""
+    monkeypatch.setenv("FORCE_COLOR", "1")
+    monkeypatch.setenv("COLUMNS", "160")
+    clock = iter(range(0, 10_000, 20))
+    monkeypatch.setattr(progress.time, "perf_counter", lambda: float(next(clock)))
+    lines = ProgressLines()
+    lines.rule = AngleRule()
+    with lines.phase("adjusting"):
+        for phase in ("planning", "compiling", "iterating"):
+            lines.begins(phase)
+        for k in range(1, 5):
+            lines.iteration(Progress(k, 12.5, 1e-4, 10.0**-k, True, 1.5))
+            status = str(lines._status.status)
+        lines.begins("standard deviations")
+    err = capsys.readouterr().err
+    assert status == "iterating, about 80 s left (4 iterations of 20.0 s), then standard deviations"
+    for phase in ("planning", "compiling", "iterating", "standard deviations"):
+        assert f"{phase}: " in err
 
-    def homeless():
-        raise RuntimeError("Could not determine home directory.")
 
-    monkeypatch.setattr(Path, "home", homeless)
-    assert runtime.cache_folder() is None
+def test_time_left():
+    assert progress.iterations_left([1.0, 0.1, 0.2], AngleRule()) == 21
+    assert progress.iterations_left([0.1, 0.2], AngleRule()) is None
+    assert progress.iterations_left([0.1], AngleRule()) is None
+    assert progress.iterations_left([1.0, 0.1], PointRule(1e-3)) is None
+    assert progress.iterations_left([1.0, 1e-9], AngleRule()) == 1
+    assert progress.told_left(3, 1.0) == "" and progress.told_left(None, 100.0) == ""
+    assert progress.told_left(30, 20.0).startswith(", about 10 min left (30 iterations")
+
+
+def test_phases_are_told_in_their_order():
+    told = []
+    adjust(small_block().block, phase=told.append)
+    assert told == ["planning", "compiling", "iterating", "standard deviations"]
 
 
 def test_runtime_is_in_double_precision_on_all_cores_and_keeps_programs(tmp_path):

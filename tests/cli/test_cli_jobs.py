@@ -96,7 +96,7 @@ def test_one_process_after_the_other(run, blocks):
     assert (code, err) == (0, "") and out.endswith("Results: adjustments\n")
     assert list(rows(blocks / "adjustments")) == ["strip", "strip-2"]
     code, out, _ = run("a/strip", "c/other", "--max-iterations", 1, "--no-precision")
-    assert code == 1 and "ended at the maximum number of iterations, not converged" in out
+    assert code == 1 and "stopped at the maximum number of iterations (not converged)" in out
     assert list(rows(blocks / "adjustments")) == ["strip", "other"]  # an earlier table is replaced
 
 

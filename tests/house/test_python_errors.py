@@ -47,7 +47,7 @@ OF_BLOCKS = {
     "statistics.control_rays": (),
     "statistics.image_rays": ((), "strip"),
     "statistics.observations_of_kind": ("control",),
-    "statistics.three_groups": (),
+    "statistics.default_groups": (),
     "statistics.tie_rays": (),
 }
 OF_ADJUSTMENTS = {
@@ -178,11 +178,11 @@ def test_robust_rounds_end_where_the_adjustment_does_not_converge(block, monkeyp
     assert len(counted) == 2 + solve_reweighting.FAILED_ROUNDS
     assert ended.reweighting is not None and not ended.reweighting.settled and not ended.trustworthy
     (found,) = [finding for finding in ended.findings if finding.kind is Kind.UNSETTLED]
-    assert "in round 2 the adjustment ended at the maximum number of iterations" in found.what
+    assert "in round 2 the adjustment stopped at the maximum number of iterations" in found.what
 
 
 def test_names_are_shown():
-    assert set(jb.__all__) <= set(dir(jb)) and "__version__" in dir(jb)
+    assert "__version__" in dir(jb)
     assert not [name for name in dir(jb) if name.startswith("_") and name != "__version__"]
     with (Path(__file__).parents[2] / "pyproject.toml").open("rb") as file:
         assert tomllib.load(file)["tool"]["setuptools"]["dynamic"]["version"]["attr"] == "jaxbundle.__version__"

@@ -134,7 +134,7 @@ def test_gross_errors_leave_their_model(simulation):
     (finding,) = [f for f in told if f.kind is Kind.SUSPECT]
     name = block.structure.point_names[block.structure.ray_point[wrong]]
     assert any(subject.names == ("1_02", name) for subject in finding.subjects)
-    assert "left out of models, since their rays do not meet" in finding.words and len(models) == 6
+    assert "left out of models, because their rays do not intersect" in finding.words and len(models) == 6
 
 
 def _with_rays(block: jb.Block, coordinates: np.ndarray) -> jb.Block:
@@ -143,7 +143,7 @@ def _with_rays(block: jb.Block, coordinates: np.ndarray) -> jb.Block:
 
 def test_what_cannot_be_formed_is_told(simulation):
     block = simulation.block
-    with pytest.raises(jb.BlockError, match="a model names image 9_99, which the block does not have"):
+    with pytest.raises(jb.BlockError, match="a model names image 9_99, which is not in the block"):
         jb.independent.adjust_models(block, pairs=[("1_01", "9_99")])
     with pytest.raises(jb.BlockError, match="a model has image 1_01 twice"):
         jb.independent.adjust_models(block, pairs=[("1_01", "1_01")])

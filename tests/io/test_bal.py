@@ -31,7 +31,7 @@ def test_initial_costs(shared_data: Path, tmp_path: Path, name: str) -> None:
     block = read(shared_data / "bal" / name)
     assert len(block.structure.image_names) == len(block.structure.cameras) == expected["cameras"]
     assert len(block.structure.point_names) == expected["points"]
-    assert block.observations == 2 * expected["observations"]
+    assert block.n_observations == 2 * expected["observations"]
     assert cost(block) == pytest.approx(expected["initial_cost"], rel=1e-12)
     write_bal(block, tmp_path / name)
     again = read_bal(tmp_path / name)
@@ -50,7 +50,7 @@ def test_as_block_folder(shared_data: Path, tmp_path: Path) -> None:
     write_block_folder(block, tmp_path)
     again = read_block_folder(tmp_path)
     assert cost(again) == pytest.approx(cost(block), rel=1e-12)
-    assert again.structure.unknowns == block.structure.unknowns
+    assert again.structure.n_unknowns == block.structure.n_unknowns
 
 
 @pytest.fixture
@@ -77,8 +77,8 @@ def test_tiny(tiny: Path) -> None:
     assert block.structure.image_names == block.structure.point_names == ("0", "1")
     assert block.structure.name == "tiny"
     np.testing.assert_array_equal(block.rays.sigmas, 1.0)
-    assert block.structure.unknowns == 2 * 9 + 2 * 3
-    assert read_bal(tiny, estimate_interior=False).structure.unknowns == 2 * 6 + 2 * 3
+    assert block.structure.n_unknowns == 2 * 9 + 2 * 3
+    assert read_bal(tiny, estimate_interior=False).structure.n_unknowns == 2 * 6 + 2 * 3
 
 
 def test_any_rotation_system_is_written(tiny: Path) -> None:

@@ -78,8 +78,8 @@ def test_real_blocks(shared_data: Path, tmp_path: Path, name: str) -> None:
     """Counts as expected, and the same block after writing and reading."""
     block = read_block_folder(shared_data / name)
     expected = json.loads((shared_data / name / "expected.json").read_text())
-    assert block.observations == expected["observations"]
-    assert block.structure.unknowns == expected["unknowns"]
+    assert block.n_observations == expected["observations"]
+    assert block.structure.n_unknowns == expected["unknowns"]
     assert block.redundancy == expected["redundancy"]
     assert block.structure.name == name
     assert block.structure.findings == ()
@@ -92,10 +92,10 @@ def test_small_block(small: Path) -> None:
     structure = block.structure
     assert structure.image_names == ("011", "012", "021", "022")
     assert structure.point_names[:3] == ("101", "102", "103")
-    assert block.observations == 2 * 48 + 3 + 2 + 1
-    assert structure.unknowns == 4 * 6 + 11 * 3
+    assert block.n_observations == 2 * 48 + 3 + 2 + 1
+    assert structure.n_unknowns == 4 * 6 + 11 * 3
     assert structure.datum == Datum("open")
-    assert structure.cameras[0].metric and structure.cameras[0].width == 6000
+    assert structure.cameras[0].principal_distance_in_mm and structure.cameras[0].width == 6000
     np.testing.assert_array_equal(block.interior.elements, [[50.0, 3010.0, 2490.0, 0.01, -1.0]])
     np.testing.assert_allclose(block.exterior.angles, np.radians(orientations()[:, 3:]), rtol=1e-15)
     np.testing.assert_array_equal(block.rays.coordinates, image_coordinates())
@@ -166,7 +166,7 @@ def test_camera_in_mm(small: Path) -> None:
     write(small, "rays.csv", "image,point,x,y,sx,sy", rows)
     block = read_block_folder(small)
     np.testing.assert_array_equal(block.interior.elements, [[50.0, 0.1, -0.2, 1.0, 1.0]])
-    assert not block.structure.cameras[0].metric
+    assert not block.structure.cameras[0].principal_distance_in_mm
     np.testing.assert_allclose(block.object_points[8:], object_points()[8:], atol=1e-9)
 
 
@@ -208,7 +208,7 @@ def test_stations_and_distances(small: Path, tmp_path: Path) -> None:
     np.testing.assert_array_equal(stations.structure.observed, [[1, 1, 1], [1, 1, 0]])
     np.testing.assert_array_equal(distances.structure.indices, [[0, 8]])
     np.testing.assert_array_equal([distances.values, distances.sigmas], [[[29.1]], [[0.01]]])
-    assert block.observations == 96 + control.count + 5 + 1
+    assert block.n_observations == 96 + control.count + 5 + 1
     write_block_folder(block, tmp_path / "again")
     assert_same(block, read_block_folder(tmp_path / "again"))
 

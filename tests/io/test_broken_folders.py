@@ -124,8 +124,8 @@ CASES: dict[str, tuple[Edit, str]] = {
     ),
     "empty number": (
         line("images.csv", 5, "-2.0", ""),
-        "images.csv:5: image 022: omega is not given; give approximate values, as from GNSS, the flight plan or a map: "
-        "with errors below some percent of the height",
+        "images.csv:5: image 022: omega is not given; give approximate values, such as from GNSS, the flight plan or a "
+        "map, with errors below some percent of the height",
     ),
     "negative sigma": (
         line("control.csv", 3, "0.04", "-0.04"),
@@ -321,7 +321,7 @@ def test_too_few_observations(tmp_path: Path) -> None:
     dropped("rays.csv", "021", "022", *(f"{i},{p}" for i in ("011", "012") for p in range(104, 113)))(folder)
     dropped("images.csv", "021", "022")(folder)
     change(folder, "block.toml", 29, 'control = "control.csv"', "")
-    with pytest.raises(BlockError, match="12 observations do not exceed 21 unknowns, 14 with the datum held: M > N"):
+    with pytest.raises(BlockError, match="12 observations do not exceed 21 unknowns, 14 with a fixed datum: M > N"):
         read_block_folder(folder)
 
 

@@ -287,7 +287,7 @@ CASES: dict[str, tuple[Edit, str]] = {
     ),
     "free network with control": (
         added("block.toml", '[datum]\ntype = "inner"'),
-        "control.csv: the inner constraints of a free network and control, observed stations or held elements exclude "
+        "control.csv: the inner constraints of a free network and control, observed stations or fixed elements exclude "
         'each other; make the control points check points, or drop type = "inner" of [datum]',
     ),
 }

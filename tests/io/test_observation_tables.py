@@ -13,7 +13,7 @@ from cases.surveyed_site import BARS, CATEGORIES, GON, PAIRS, SCALE_BARS, SETS, 
 
 from jaxbundle.block.block import Block, Datum, Parameter
 from jaxbundle.block.geodetic import ANGLES, LINES, PLANES, geodetic_kind
-from jaxbundle.block.navigation import ATTITUDES, GNSS
+from jaxbundle.block.navigation import ATTITUDES, GNSS_STATIONS
 from jaxbundle.block.observation_kinds import (
     CONTROL,
     PARAMETERS,
@@ -100,7 +100,7 @@ def test_figures(block: Block) -> None:
 
 def test_navigation(block: Block) -> None:
     """Nine parameters a group; times from the mean of each group; what is of no group has no systematic errors."""
-    gnss, attitudes = group_of(block, GNSS), group_of(block, ATTITUDES["omega-phi-kappa"])
+    gnss, attitudes = group_of(block, GNSS_STATIONS), group_of(block, ATTITUDES["omega-phi-kappa"])
     names = [block.structure.image_names[i] for i in gnss.structure.indices[:, 0]]
     assert names == [image for image in STRIPS if image != "022"]
     np.testing.assert_array_equal(gnss.constants[:, 0], [-2, 2, 0])

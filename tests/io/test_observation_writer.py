@@ -41,7 +41,7 @@ def test_blocks_built_in_python(tmp_path: Path, name: str) -> None:
     block = conforming(heterogeneous.CASES[name](heterogeneous.strip()))
     write_block_folder(block, tmp_path / "block")
     again = read_block_folder(tmp_path / "block")
-    assert (again.observations, again.structure.unknowns) == (block.observations, block.structure.unknowns)
+    assert (again.n_observations, again.structure.n_unknowns) == (block.n_observations, block.structure.n_unknowns)
     to_again = [again.structure.point_names.index(point) for point in block.structure.point_names]
     by_kind = {(group.structure.kind.name, group.structure.kind.touches): group for group in again.groups}
     assert len(by_kind) == len(again.groups) == len(block.groups)

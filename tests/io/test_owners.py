@@ -5,7 +5,7 @@ import dataclasses
 from cases import all_observations
 
 from jaxbundle.block.block import Owner, Parameter
-from jaxbundle.block.navigation import GNSS
+from jaxbundle.block.navigation import GNSS_STATIONS
 from jaxbundle.report.group_tables import member_names
 from jaxbundle.statistics.possible_errors import _sharing
 
@@ -18,7 +18,7 @@ def test_an_owner_in_words():
 
 def test_groups_are_called_by_their_owner():
     block = all_observations.navigation(all_observations.strip())
-    group = next(g for g in block.groups if g.structure.kind == GNSS)
+    group = next(g for g in block.groups if g.structure.kind == GNSS_STATIONS)
     touched = set(group.structure.indices[:, 1:].ravel().tolist())
     parameters = tuple(
         dataclasses.replace(

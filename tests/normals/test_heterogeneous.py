@@ -42,7 +42,7 @@ def test_steps(block):
     start = eqx.tree_at(lambda b: b.object_points, start, moved)
     unknowns, observations = centred(start)
     system = dense_system(unknowns, observations)
-    assert len(system.lengths) == start.structure.unknowns
+    assert len(system.lengths) == start.structure.n_unknowns
     rounding = np.finfo(float).eps * np.linalg.norm(system.lengths * sizes(unknowns, observations))
     for damping, stepped in zip(DAMPINGS, block_steps(start, DAMPINGS, "auto", 1), strict=True):
         expected = dense_step(system, damping)
@@ -54,7 +54,7 @@ def test_steps(block):
 def test_truth_is_found_and_counted(block, reported):
     assert reported.trustworthy
     assert float(reported.vtpv) < 1e-12
-    assert reported.unknowns == block.structure.unknowns
+    assert reported.n_unknowns == block.structure.n_unknowns
     np.testing.assert_allclose(reported.block.parameters, block.parameters, atol=1e-7)
     for group, residuals in zip(block.groups, reported.residuals[1:], strict=True):
         assert residuals.shape == group.values.shape

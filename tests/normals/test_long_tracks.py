@@ -53,7 +53,7 @@ def test_steps(name, method):
     unknowns, observations = centred(block)
     system = dense_system(unknowns, observations)
     steps = [dense_step(system, damping) for damping in DAMPINGS]
-    assert len(system.lengths) == block.structure.unknowns
+    assert len(system.lengths) == block.structure.n_unknowns
     rounding = np.finfo(float).eps * np.linalg.norm(system.lengths * sizes(unknowns, observations))
     for damping, dense, stepped in zip(DAMPINGS, steps, block_steps(block, DAMPINGS, method, 1), strict=True):
         off = difference(unknowns, stepped, observations) - dense

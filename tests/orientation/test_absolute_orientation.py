@@ -93,7 +93,7 @@ def test_two_full_points_and_a_height_have_two_orientations():
         r = turned(*angles)
         control = given(TERRAIN, r, [0, 1], [0, 1, 2])
         found = absolute_orientation(TERRAIN, control, 0.1, projection_centres=CENTRES)
-        assert found.possible.sum() == 2 and "2 orientations satisfy the control" in found.words
+        assert found.possible.sum() == 2 and "2 orientations fit the control" in found.words
         np.testing.assert_allclose(found.similarity.rotation, r, atol=1e-7)
         assert np.isnan(found.sigma0) and np.isfinite(found.cofactors).all()
 

@@ -7,7 +7,7 @@ import pytest
 from cases.all_observations import observed, strip, with_parameters
 
 from jaxbundle.block.geodetic import FRAME, LINES, PLANES
-from jaxbundle.orientation.planes_and_lines import with_figures
+from jaxbundle.orientation.planes_and_lines import with_planes_and_lines
 
 SQUARE = np.array([[1.0, 1, 0], [-1, 1, 0], [-1, -1, 0], [1, -1, 0]])  # two equal extents
 TURNS = {
@@ -31,7 +31,7 @@ def frame(block, kind, points, order) -> np.ndarray:
     constants = np.tile([0, 0, 0, *np.eye(3).ravel()], (len(points), 1)).astype(float)
     block = observed(block, kind, [[p, *n] for p in order], 0.02, constants)
     unknown = jnp.full((len(points), len(FRAME)), jnp.nan)
-    found, problems = with_figures(eqx.tree_at(lambda b: b.groups[-1].constants, block, unknown))
+    found, problems = with_planes_and_lines(eqx.tree_at(lambda b: b.groups[-1].constants, block, unknown))
     assert not problems
     return np.asarray(found.groups[-1].constants)[0]
 

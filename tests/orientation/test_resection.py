@@ -242,7 +242,7 @@ def test_points_on_a_line_give_no_number(start):
     found = resected(one_image(ON_A_LINE, noise=0.3), start=start)
     assert found.status == Status.SINGULAR and not found.converged
     assert all(np.isnan(getattr(found, name)).all() for name in NUMBERS)
-    assert "measure four or more that lie on no one line" in found.words
+    assert "measure four or more that are not on one line" in found.words
 
 
 def test_a_cross_of_five_points_in_a_plane(over_images):

@@ -6,7 +6,7 @@ import math
 import numpy as np
 import pytest
 
-from jaxbundle.block.navigation import ATTITUDES, GNSS
+from jaxbundle.block.navigation import ATTITUDES, GNSS_STATIONS
 from jaxbundle.block.observation_kinds import CONTROL
 from jaxbundle.planning.flight import (
     AerialCamera,
@@ -161,7 +161,7 @@ def test_gross_errors_are_where_they_are_said_to_be(flown):
 def test_navigation_of_a_flight(flown):
     block, truth, _ = flown
     kinds = [group.structure.kind for group in block.groups]
-    assert kinds == [CONTROL, GNSS, ATTITUDES["omega-phi-kappa"]]
+    assert kinds == [CONTROL, GNSS_STATIONS, ATTITUDES["omega-phi-kappa"]]
     assert not np.asarray(block.parameters)[block.structure.parameter_free].any()
     named = dict(zip((p.name for p in truth.structure.parameters), np.asarray(truth.parameters), strict=True))
     assert named["lever_arm Z of strip 2"] == 0.2 and 0 < abs(named["shift X of strip 1"]) < 1.5

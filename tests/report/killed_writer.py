@@ -12,7 +12,10 @@ from pathlib import Path
 
 from jaxbundle.report import result_folder
 
-STEPS = {os: ("mkdir", "rename", "replace", "unlink", "rmdir", "fsync", "open", "listdir"), folder: ("_exchange",)}
+STEPS = {
+    os: ("mkdir", "rename", "replace", "unlink", "rmdir", "fsync", "open", "listdir"),
+    result_folder: ("_exchange",),
+}
 KILLED = 9
 OLD, NEW = ["images.csv", "check_points.csv", "report.json", "report.txt"], ["images.csv", "parameters.csv"]
 NEW += ["report.json", "report.txt"]

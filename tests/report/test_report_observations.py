@@ -70,7 +70,7 @@ def test_significance_is_told_where_0_has_a_meaning(adjustment) -> None:
     (found,) = [finding for finding in findings(adjustment) if finding.kind is Kind.INSIGNIFICANT]
     held = {subject.names[0] for subject in found.subjects}
     assert held and held <= {name for name in told if parameters[name]["t"] < 2}
-    assert all(name in found.what for name in held) and found.cure == "hold them at 0"
+    assert all(name in found.what for name in held) and found.cure == "fix them at 0"
 
 
 def with_parameter_cofactors(adjustment, change_of):
@@ -230,7 +230,7 @@ def test_robust_weights_that_are_all_believed(simple) -> None:
 def test_robust_weights_that_did_not_settle(simple) -> None:
     unsettled = robust(simple, np.ones(len(simple.block.structure.ray_image)), settled=False)
     assert any(sentence.startswith("the robust weights were still changing after 7") for sentence in words(unsettled))
-    assert "7 rounds, which did not settle; 0 rays below 0.5" in unsettled.summary()
+    assert "7 rounds, which did not converge; 0 rays below 0.5" in unsettled.summary()
 
 
 def test_a_small_sigma0_of_robust_weights_says_nothing(simple) -> None:

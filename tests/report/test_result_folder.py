@@ -59,7 +59,7 @@ def test_the_place_is_tried_before_the_work(tmp_path, monkeypatch):
             raise OSError(code, os.strerror(code))
 
         with monkeypatch.context() as patched:
-            patched.setattr(folder, "sync_file", refused)
+            patched.setattr(result_folder, "sync_file", refused)
             with pytest.raises(OSError, match=f"{tmp_path}/new: {words}; give another folder for the results"):
                 require_writable(tmp_path / "new", NAMES, 1000)
     assert sorted(path.name for path in tmp_path.iterdir()) == ["dangling", "file"]

@@ -46,7 +46,7 @@ def test_block_folders(shared_data, tmp_path, name):
     observations, unknowns, sigma0 = BLOCKS[name]
     adjustment = adjust(read(shared_data / name))
     assert adjustment.trustworthy
-    assert (adjustment.observations, adjustment.unknowns) == (observations, unknowns)
+    assert (adjustment.n_observations, adjustment.n_unknowns) == (observations, unknowns)
     assert adjustment.redundancy == observations - unknowns
     assert float(adjustment.sigma0) == pytest.approx(sigma0, abs=digits(sigma0))
     assert_as_expected(adjustment, shared_data / name, tmp_path / "report")
@@ -74,7 +74,7 @@ def test_ladybug(shared_data, estimate_interior):
     assert undetermined == ["points"] * len(undetermined) and len(undetermined) <= (20 if estimate_interior else 0)
     datum = adjustment.block.structure.datum
     assert datum.kind == "minimal" and len(datum.held) == 7 and str(datum).startswith("minimal")
-    assert adjustment.unknowns == np.sum([49 * 6, 49 * 3 * estimate_interior, 7776 * 3]) - 7
+    assert adjustment.n_unknowns == np.sum([49 * 6, 49 * 3 * estimate_interior, 7776 * 3]) - 7
 
 
 def test_dubrovnik_is_refused(shared_data):

@@ -62,7 +62,7 @@ def test_similar_blocks_share_their_programs(batch, monkeypatch):
 def test_table(batch):
     one, failed, two = batch.table()
     assert one.status == two.status == "converged" and one.problem == two.problem == ""
-    assert (one.observations, one.unknowns) == (batch.adjustments[0].observations, batch.adjustments[0].unknowns)
+    assert (one.observations, one.unknowns) == (batch.adjustments[0].n_observations, batch.adjustments[0].n_unknowns)
     assert one.redundancy == batch.adjustments[0].redundancy and one.iterations > 1
     assert one.sigma0 == pytest.approx(float(batch.adjustments[0].sigma0))
     assert failed[:2] == ("broken", "bad input") and failed[2:7] == (None,) * 5
@@ -85,7 +85,7 @@ def test_progress_and_equal_names():
     batch = adjust_many(iter([strip(1), strip(2), unnamed]), precision=False, max_iterations=1, progress=seen.append)
     assert [o.name for o in batch.outcomes] == ["1 x 3 images", "1 x 3 images-2", "(unnamed)"]
     assert seen == list(batch.outcomes)
-    assert all("maximum number of iterations, not converged" in row.problem for row in batch.table())
+    assert all("maximum number of iterations (not converged)" in row.problem for row in batch.table())
 
 
 def test_undetermined_unknowns_are_named(monkeypatch, batch):

@@ -13,7 +13,7 @@ from jaxbundle.numerics import whole_files
 from jaxbundle.solve import levenberg_marquardt
 from jaxbundle.solve.adjust import adjust
 from jaxbundle.solve.adjustment import Status
-from jaxbundle.solve.checkpoint import CheckpointError, Keeper, load, save
+from jaxbundle.solve.checkpoint import Checkpointer, CheckpointError, load, save
 from jaxbundle.solve.weight_functions import Huber
 
 
@@ -51,7 +51,7 @@ def test_foreign_files_are_refused(tmp_path: Path) -> None:
     with pytest.raises(CheckpointError, match="another block or method; delete it"):
         adjust(small_block(noise=2.0).block, checkpoint=file)
     file.write_text("no checkpoint")
-    with pytest.raises(CheckpointError, match="is no checkpoint"):
+    with pytest.raises(CheckpointError, match="is not a checkpoint"):
         adjust(small_block().block, checkpoint=file)
     with pytest.raises(OSError, match="state.npz cannot be written: No such file or directory; name another file"):
         adjust(small_block().block, checkpoint=tmp_path / "nowhere" / "state.npz")
@@ -132,21 +132,21 @@ def test_what_a_file_holds_is_looked_at(tmp_path: Path) -> None:
     with pytest.raises(CheckpointError, match="delete it or name another file"):
         load(file, "mark", *STATE)
     foreign(file, {"leaf 0": [1.0]})
-    with pytest.raises(CheckpointError, match="holds 1 arrays in place of 4"):
+    with pytest.raises(CheckpointError, match="contains 1 arrays instead of 4"):
         load(file, "mark", *STATE)
 
 
 def test_a_state_that_says_converged_is_not_believed(tmp_path: Path, monkeypatch) -> None:
     block, file = small_block().block, tmp_path / "state"
     whole = adjust(block, checkpoint=file, precision=False)
-    resumed = Keeper.resumed
+    resumed = Checkpointer.resumed
 
     def tampered(self, unknowns, state):
         unknowns, state = resumed(self, unknowns, state)
         moved = jax.tree.map(lambda x: x * (1 + 1e-5), unknowns)
         return moved, state._replace(ended=jnp.array(True))
 
-    monkeypatch.setattr(Keeper, "resumed", tampered)
+    monkeypatch.setattr(Checkpointer, "resumed", tampered)
     again = adjust(block, checkpoint=file, precision=False)
     assert float(again.sigma0) == pytest.approx(float(whole.sigma0), rel=1e-3)  # what is held has moved too
     assert int(again.iterations.trials) >= int(whole.iterations.trials)

@@ -170,7 +170,7 @@ def test_a_lost_process_is_bad_input_not_an_error_of_the_program() -> None:
         (("10.0.0.1", 2, 0), "HOST:PORT"),
         (("10.0.0.1:4000", 2, None), "needs --processes N and --process I"),
         (("10.0.0.1:4000", 2, 2), "not from 0 to 1"),
-        ((None, 2, 0), "belong to --coordinator"),
+        ((None, 2, 0), "require --coordinator"),
         (("auto", 2, 0), "by itself"),
     ],
 )

@@ -46,7 +46,7 @@ def test_residuals_and_sigma0_are_those_of_the_minimal_datum(networks):
     np.testing.assert_allclose(free.sigma0, minimal.sigma0, rtol=1e-9)
     np.testing.assert_allclose(free.residuals[0], minimal.residuals[0], atol=1e-9)
     assert free.redundancy == minimal.redundancy
-    assert free.unknowns == block.structure.unknowns == minimal.unknowns + free.block.structure.datum.constraints
+    assert free.n_unknowns == block.structure.n_unknowns == minimal.n_unknowns + free.block.structure.datum.constraints
     assert "inner constraints over" in free.summary()
     assert not free.block.structure.datum.held
 

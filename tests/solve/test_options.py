@@ -139,7 +139,7 @@ def test_an_adjustment_with_its_options_goes_through_jit_and_vmap(block: jb.Bloc
     alone = jax.jit(adjusted)(block.rays.coordinates)
     assert alone.trustworthy and eqx.tree_equal(alone.options, jb.Options(precision=False))
     both = jax.jit(jax.vmap(adjusted))(jnp.stack([block.rays.coordinates] * 2))
-    with pytest.raises(ValueError, match="these are 2 adjustments in one, made by vmap"):
+    with pytest.raises(ValueError, match="these are 2 adjustments of vmap"):
         _ = both.trustworthy
 
 
@@ -151,7 +151,7 @@ def test_a_traced_adjustment_tells_no_status(block: jb.Block, name: str):
         found = jb.adjust(eqx.tree_at(lambda b: b.rays.coordinates, block, xy), precision=False)
         return found.sigma0 if getattr(found, name) else jnp.zeros(())
 
-    with pytest.raises(ValueError, match="not known inside of jit, grad and vmap: look at its status outside of them"):
+    with pytest.raises(ValueError, match="unknown inside jit, grad and vmap: read it outside them"):
         jax.eval_shape(asked, block.rays.coordinates)
 
 

@@ -64,7 +64,7 @@ def test_clean_block_keeps_its_weights(clean):
 
 
 def test_weights_that_do_not_settle_are_told(spoilt, monkeypatch):
-    monkeypatch.setattr(solve_reweighting, "MOST_ROUNDS", 2)
+    monkeypatch.setattr(solve_reweighting, "MAX_ROUNDS", 2)
     reweighting = adjust(spoilt[0], robust=Huber(), precision=False).reweighting
     assert reweighting is not None and reweighting.rounds == 2 and not reweighting.settled
 

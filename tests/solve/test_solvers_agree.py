@@ -128,7 +128,7 @@ def test_too_few_iterations_are_told(block):
 
 def test_second_opinion_is_for_small_blocks():
     block = simulate(2, 6, points_per_image=600).block
-    with pytest.raises(ValueError, match=f"3000 unknowns at most, the block has {block.structure.unknowns}"):
+    with pytest.raises(ValueError, match=f"limited to 3000 unknowns; the block has {block.structure.n_unknowns}"):
         adjust(block, engine="jaxopt")
     arrays, static = eqx.partition(small_block().block, eqx.is_array)
     with pytest.raises(ValueError, match="outside of jit"):

@@ -20,9 +20,9 @@ from jaxbundle.statistics.subsets import (
     all_control,
     control_point,
     control_rays,
+    default_groups,
     image_coordinates,
     observations_of_kind,
-    three_groups,
     tie_rays,
 )
 
@@ -78,7 +78,7 @@ def test_negative_components():
     found = variance_components(with_sigmas(block, 0.006, 0.05), form="helmert", precision=False)
     assert found.converged and found.negative == ("control",) and found.held == ("", "", FALLEN)
     assert found.components[2] == 1 and np.isnan(found.deviations[2])
-    assert "control: the component was negative on the way" in found.summary()
+    assert "control: the component was negative during the iterations" in found.summary()
     simple = variance_components(with_sigmas(block, 0.006, 0.05), tolerance=1e-8, precision=False)
     assert simple.negative == () and simple.held == ("", "", FALLEN)
     np.testing.assert_allclose(found.sigmas, simple.sigmas, rtol=1e-5)
@@ -125,10 +125,10 @@ def test_refusals(block):
     with pytest.raises(ValueError, match="choose one"):
         variance_components(block, robust=Huber())
     with pytest.raises(ValueError, match="shares observations with a group before"):
-        variance_components(block, [*three_groups(block), all_control(block)])
-    with pytest.raises(ValueError, match="no observations belong to nothing"):
+        variance_components(block, [*default_groups(block), all_control(block)])
+    with pytest.raises(ValueError, match="nothing has no observations"):
         variance_components(block, [Subset("nothing", tuple(m & False for m in all_control(block).masks))])
-    with pytest.raises(ValueError, match="adjustment 1 on the way ended at the maximum number"):
+    with pytest.raises(ValueError, match="adjustment 1 stopped at the maximum number"):
         variance_components(with_sigmas(block, 0.006, 0.05), max_iterations=1)
 
 

@@ -12,7 +12,7 @@ from jaxbundle.solve.adjustment import Adjustment
 from jaxbundle.statistics import dense
 from jaxbundle.statistics.components import VarianceComponents, helmert_system, variance_components
 from jaxbundle.statistics.dense import redundancy_numbers
-from jaxbundle.statistics.subsets import three_groups
+from jaxbundle.statistics.subsets import default_groups
 
 RUNS = 40
 A_PRIORI = np.array([0.005, 0.005, 0.1])  # what the adjuster believes
@@ -35,7 +35,7 @@ def exact(truth) -> Adjustment:
 @pytest.fixture(scope="module")
 def predicted(truth, exact) -> np.ndarray:
     """Standard deviations of the three components over the true ones: sqrt(2 S^-1)."""
-    system = helmert_system(dense.dense_system(exact), three_groups(truth))
+    system = helmert_system(dense.dense_system(exact), default_groups(truth))
     return np.sqrt(2 * np.diag(np.linalg.inv(system.matrix)))
 
 
@@ -53,24 +53,24 @@ def runs(truth) -> list[VarianceComponents]:
 
 
 def test_redundancies_add_up(truth, exact):
-    system = helmert_system(dense.dense_system(exact), three_groups(truth))
+    system = helmert_system(dense.dense_system(exact), default_groups(truth))
     assert abs(system.redundancy.sum() - exact.redundancy) < 1e-9
     np.testing.assert_allclose(system.matrix.sum(1), system.redundancy, rtol=0, atol=1e-9)
     np.testing.assert_allclose(system.matrix, system.matrix.T, rtol=0, atol=1e-12)
     numbers = redundancy_numbers(exact)
-    by_group = [sum(t[m].sum() for t, m in zip(numbers, g.masks, strict=True)) for g in three_groups(truth)]
+    by_group = [sum(t[m].sum() for t, m in zip(numbers, g.masks, strict=True)) for g in default_groups(truth)]
     np.testing.assert_allclose(by_group, system.redundancy, rtol=0, atol=1e-9)
 
 
 def test_trace_formula(truth, exact):
     """S as it is printed, by N^-1 and N_i."""
     design = dense_system(*centred(exact.block)).design
-    groups = [np.concatenate([mask.T.ravel() for mask in group.masks]) for group in three_groups(truth)]
+    groups = [np.concatenate([mask.T.ravel() for mask in group.masks]) for group in default_groups(truth)]
     scaled = design / np.linalg.norm(design, axis=0)
     shares = [np.linalg.solve(scaled.T @ scaled, scaled[rows].T @ scaled[rows]) for rows in groups]
     s = np.array([[np.trace(a @ b) for b in shares] for a in shares])
     s += np.diag([rows.sum() - 2 * np.trace(share) for rows, share in zip(groups, shares, strict=True)])
-    np.testing.assert_allclose(helmert_system(dense.dense_system(exact), three_groups(truth)).matrix, s, atol=1e-6)
+    np.testing.assert_allclose(helmert_system(dense.dense_system(exact), default_groups(truth)).matrix, s, atol=1e-6)
 
 
 def test_one_run_finds_the_true_accuracies(truth, predicted):

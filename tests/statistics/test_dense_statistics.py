@@ -33,13 +33,13 @@ def test_every_kind_of_observation(name):
         first += mask.size
     cofactors = np.diag(dense_cofactors(unknowns, observations))
     np.testing.assert_allclose(np.sum(system.inverse**2, 1), cofactors, rtol=1e-7)
-    assert len(system.unknown_names) == block.structure.unknowns == sum(mask.sum() for mask in masks(observations))
+    assert len(system.unknown_names) == block.structure.n_unknowns == sum(mask.sum() for mask in masks(observations))
 
 
 def test_tables_and_names():
     block = case("correlated")
     system = block_system(block)
-    tables = system.unknown_tables(np.arange(float(block.structure.unknowns)))
+    tables = system.unknown_tables(np.arange(float(block.structure.n_unknowns)))
     names = system.unknown_names
     image = block.structure.image_names[1]
     assert names[int(tables.exterior[1, 4])] == f"phi of image {image}"
@@ -72,5 +72,5 @@ def test_limits(block, monkeypatch):
     with pytest.raises(ValueError, match="leave some unknowns undetermined"):
         block_system(dataclasses.replace(block, groups=()))
     monkeypatch.setattr(dense, "MAX_UNKNOWNS", 10)
-    with pytest.raises(ValueError, match="of 10 unknowns at most; the block has 162"):
+    with pytest.raises(ValueError, match="limited to 10 unknowns; the block has 162"):
         block_system(block)

@@ -138,7 +138,7 @@ def test_residual_test_is_the_fall_of_vtpv(adjustment, linear, number):
     left = linear.vtpv(~rows)
     assert test.statistic == pytest.approx(linear.vtpv(np.ones(len(rows), bool)) - left, rel=1e-6)
     rank = np.linalg.matrix_rank(linear.design[~rows] / np.linalg.norm(linear.design, axis=0), tol=1e-9)
-    others = adjustment.observations - subset.count
+    others = adjustment.n_observations - subset.count
     assert test.degrees == adjustment.redundancy - (others - rank)
     assert test.passed
 
@@ -187,12 +187,12 @@ def test_wrong_control_is_claimed_exact():
     assert first.test.statistic > max(point.test.statistic for point in others)
     assert not found.test.passed and found.errorless == ()
     assert "its residuals contradict its sigmas" in str(first)
-    assert "some sigmas are claimed too small" in found.summary()
+    assert "some sigmas are too small" in found.summary()
 
 
 def test_refusals(adjustment):
     block = adjustment.block
-    with pytest.raises(ValueError, match="control is what is observed besides image coordinates"):
+    with pytest.raises(ValueError, match="control means observations other than image coordinates"):
         influence(adjustment, image_coordinates(block))
     with pytest.raises(ValueError, match="nothing: control is"):
         influence(adjustment, Subset("nothing", tuple(mask & False for mask in all_control(block).masks)))

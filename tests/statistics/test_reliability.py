@@ -102,7 +102,7 @@ def test_detectable_error_is_detected_with_its_power(sample):
 @pytest.mark.thorough
 def test_no_clean_observation_is_suspected_in_95_of_100_blocks(sample, truth):
     """The largest |w| of a block against Sidak's limit: that is what snooping looks at first."""
-    limit = critical_w(level_of_one(0.05, truth.observations))
+    limit = critical_w(level_of_one(0.05, truth.n_observations))
     suspected = np.asarray(sample[2]) > limit
     assert suspected.mean() < binomial_limits(0.05)[1]
 

@@ -15,12 +15,12 @@ from jaxbundle.statistics.subsets import (
     camera_rays,
     control_point,
     control_rays,
+    default_groups,
     image_coordinates,
     image_rays,
     is_control_point,
     observations_of_kind,
     observed_points,
-    three_groups,
     tie_rays,
 )
 
@@ -31,15 +31,15 @@ def block() -> Block:
     return CASES["geodetic"](strip())
 
 
-def test_three_groups_are_everything(block):
-    groups = three_groups(block)
+def test_default_groups_are_everything(block):
+    groups = default_groups(block)
     assert [g.name for g in groups[:3]] == ["rays of control points", "rays of tie points", "control"]
-    assert sum(group.count for group in groups) == all_observations(block).count == block.observations
+    assert sum(group.count for group in groups) == all_observations(block).count == block.n_observations
     together = groups[0]
     for group in groups[1:]:
         assert (together & group).count == 0
         together = together | group
-    assert together.count == block.observations
+    assert together.count == block.n_observations
     assert (control_rays(block) | tie_rays(block)).count == image_coordinates(block).count
 
 
@@ -73,7 +73,7 @@ def test_kinds_and_components(block):
     assert plan.name == "X, Y of control"
     distances = observations_of_kind(block, "distances")  # between points, and from a centre
     assert distances.count == 3
-    assert all_control(block).count == block.observations - image_coordinates(block).count
+    assert all_control(block).count == block.n_observations - image_coordinates(block).count
 
 
 @pytest.mark.parametrize(

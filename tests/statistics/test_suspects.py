@@ -48,7 +48,7 @@ def test_quantities_are_those_of_the_cofactors_of_the_residuals(simulated, monke
     residuals = [np.asarray(v) for v in adjustment.weighted_residuals]
     hypotheses = possible_errors(adjustment.block, tables.w, computed_values(adjustment.block, residuals))
     tests = error_tests(adjustment.block, residuals, hypotheses.elementary)
-    monkeypatch.setattr(error_columns, "MOST_DENSE", 0)
+    monkeypatch.setattr(error_columns, "MAX_DENSE", 0)
     eliminated = error_tests(adjustment.block, residuals, hypotheses.elementary)
     scale = 1 / np.sqrt(tests.lengths)
     np.testing.assert_allclose(

@@ -93,7 +93,7 @@ def test_block_factor():
         (lambda: spacing((1e-4, 1, 1), EXAMPLE), "the tolerance of X allows 0.11 stereopairs"),
         (lambda: tied_middle(10, EXAMPLE, ends="glued"), "ends 'glued' are unknown; there are hinged, clamped"),
         (lambda: bundle_free_end(10, 70), "no cubic for 70 % overlap; there are 60, 80 %"),
-        (lambda: random_walk_middle(5), "5 stereopairs have no joint in the middle"),
+        (lambda: random_walk_middle(5), "5 stereopairs have no point in the middle"),
         (lambda: block_factor(0), "0 strips; give 1 or more"),
     ],
 )

@@ -26,7 +26,7 @@ from jaxbundle.io.formats.decided import decided
 from jaxbundle.io.formats.foreign_block import ForeignBlock, ForeignCamera, Known, element
 from jaxbundle.io.formats.usable_part import usable
 from jaxbundle.io.noted import measured_again
-from jaxbundle.io.ranges import LARGEST_LENGTH, LARGEST_SIGMA, PRINCIPAL_DISTANCES, SMALLEST_SIGMA
+from jaxbundle.io.ranges import MAX_LENGTH, MAX_SIGMA, PRINCIPAL_DISTANCES, SMALLEST_SIGMA
 from jaxbundle.numerics.host import on_device, on_host
 
 SYSTEMATIC = 9  # parameters of an observed attitude, all fixed at 0
@@ -87,17 +87,17 @@ def _require_numbers(foreign: ForeignBlock) -> None:
             what = f"camera {camera.name} has implausible elements (principal distance {c:g})"
             problems.append(Problem(what, "correct the interior orientation", "cameras"))
     tables = (
-        ("images", foreign.images.centre, LARGEST_LENGTH),
-        ("points", foreign.points.coordinates, LARGEST_LENGTH),
-        ("rays", foreign.rays.xy, LARGEST_LENGTH),
-        ("control", np.array([row.coordinates for row in foreign.control]), LARGEST_LENGTH),
-        ("stations", np.array([row.coordinates for row in foreign.stations]), LARGEST_LENGTH),
+        ("images", foreign.images.centre, MAX_LENGTH),
+        ("points", foreign.points.coordinates, MAX_LENGTH),
+        ("rays", foreign.rays.xy, MAX_LENGTH),
+        ("control", np.array([row.coordinates for row in foreign.control]), MAX_LENGTH),
+        ("stations", np.array([row.coordinates for row in foreign.stations]), MAX_LENGTH),
     )
     for what, values, limit in tables:
         if values.size and not (np.abs(np.nan_to_num(values, nan=0.0)) <= limit).all():
             problems.append(Problem(f"{what} have numbers larger than {limit:g}", "correct them", what))
     sigma = foreign.rays.sigma
-    if sigma is not None and not ((sigma >= SMALLEST_SIGMA) & (sigma <= LARGEST_SIGMA)).all():
+    if sigma is not None and not ((sigma >= SMALLEST_SIGMA) & (sigma <= MAX_SIGMA)).all():
         problems.append(Problem("a standard deviation of image coordinates is not positive", "correct it", "rays"))
     if problems:
         raise BlockError(problems)

@@ -26,7 +26,7 @@ from jaxbundle.io.formats.foreign_block import (
     ReadOptions,
     element,
 )
-from jaxbundle.io.formats.source import LARGEST_NUMBER, lines_of, text_of, wrong
+from jaxbundle.io.formats.source import MAX_NUMBER, lines_of, text_of, wrong
 from jaxbundle.io.formats.written import in_pixels, losses_of_block
 from jaxbundle.io.text_files import UnreadableError, file_bytes
 
@@ -100,14 +100,14 @@ def _values(file: Path, text: str) -> Float[np.ndarray, " number"]:
     """All numbers of the file after its first line."""
     try:
         values = np.array(text.split(), float)
-        if (np.abs(values) < LARGEST_NUMBER).all():
+        if (np.abs(values) < MAX_NUMBER).all():
             return values
     except ValueError:
         pass
     for line, fields in enumerate(text.split("\n"), 2):
         for field in fields.split():
             try:
-                good = abs(float(field)) < LARGEST_NUMBER
+                good = abs(float(field)) < MAX_NUMBER
             except ValueError:
                 good = False
             if not good:

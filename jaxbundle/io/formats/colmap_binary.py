@@ -11,7 +11,7 @@ from jaxtyping import Float, Int
 from jaxbundle.block.problems import BlockError
 from jaxbundle.io.formats.colmap_cameras import BY_NUMBER, READ
 from jaxbundle.io.formats.colmap_records import NO_POSE, CameraRecord, FrameRecord, Model, SensorRecord, model_of
-from jaxbundle.io.formats.source import LARGEST_NUMBER, wrong
+from jaxbundle.io.formats.source import MAX_NUMBER, wrong
 from jaxbundle.io.noted import Noted
 from jaxbundle.io.text_files import require_bytes
 
@@ -47,7 +47,7 @@ class _Buffer:
 
     def pose(self, what: str) -> list[float]:
         values = list(self.read("<7d", what))
-        if not all(abs(value) < LARGEST_NUMBER for value in values):
+        if not all(abs(value) < MAX_NUMBER for value in values):
             raise self.wrong(f"the pose of {what} has a number that is not finite")
         return values
 
@@ -86,7 +86,7 @@ def _cameras(path: Path) -> list[CameraRecord]:
         if model not in BY_NUMBER:
             raise file.wrong(f"camera {number} has the unknown model {model}", f"read are {READ}")
         parameters = file.read(f"<{len(BY_NUMBER[model].parameters)}d", f"camera {number}")
-        if not all(abs(value) < LARGEST_NUMBER for value in parameters):
+        if not all(abs(value) < MAX_NUMBER for value in parameters):
             raise file.wrong(f"camera {number} has a parameter that is not a finite number")
         cameras.append(CameraRecord(number, model, width, height, parameters))
     file.finish()
@@ -108,7 +108,7 @@ def _images(path: Path) -> tuple[list, list]:
         rows = np.frombuffer(file.data, IMAGE_POINT, count, file.at)
         file.at += count * IMAGE_POINT.itemsize
         rows = rows[rows["point"] < NO_POINT]
-        if not (np.abs(rows["xy"]) < LARGEST_NUMBER).all():
+        if not (np.abs(rows["xy"]) < MAX_NUMBER).all():
             raise file.wrong(f"image {number} has an image point that is not finite")
         images.append((number, name, camera, pose))
         rays.append((rows["xy"].copy(), rows["point"].astype(np.int64)))
@@ -135,7 +135,7 @@ def _points(path: Path) -> tuple[Int[np.ndarray, " point"], Float[np.ndarray, "p
     if at > len(data):
         raise file.wrong(f"the file ends in the track of point {count}")
     file.finish()
-    if not (np.abs(coordinates) < LARGEST_NUMBER).all():
+    if not (np.abs(coordinates) < MAX_NUMBER).all():
         raise file.wrong("a point has a coordinate that is not a finite number")
     return ids, coordinates
 

@@ -8,7 +8,7 @@ from jaxtyping import Float, Int
 
 from jaxbundle.block.problems import shown
 from jaxbundle.io.formats.colmap_records import NO_POSE, CameraRecord, FrameRecord, Model, SensorRecord, model_of
-from jaxbundle.io.formats.source import AGAIN, LARGEST_NUMBER, integer, lines_of, numbers
+from jaxbundle.io.formats.source import AGAIN, MAX_NUMBER, integer, lines_of, numbers
 from jaxbundle.io.noted import Noted
 
 NAME_FIELD = 9  # of an image line: the name is the last field and may contain blanks
@@ -85,7 +85,7 @@ def _image_points(
         values = np.array(text.split(), float)
     except ValueError:
         values = np.array([np.nan])
-    if len(values) % 3 or not (np.abs(values) < LARGEST_NUMBER).all():
+    if len(values) % 3 or not (np.abs(values) < MAX_NUMBER).all():
         what = f"the image points '{shown(text.strip(), 30)}' are not triples of numbers x, y, point"
         noted.add(path.name, line, what, AGAIN)
         return None
@@ -103,7 +103,7 @@ def _points(path: Path, noted: Noted) -> tuple[Int[np.ndarray, " point"], Float[
     try:
         ids = np.array([int(fields[0]) for _, fields in rows], np.int64)
         coordinates = np.array([fields[1:4] for _, fields in rows], float).reshape(-1, 3)
-        if (np.abs(coordinates) < LARGEST_NUMBER).all():
+        if (np.abs(coordinates) < MAX_NUMBER).all():
             return ids, coordinates
     except (ValueError, OverflowError):
         pass

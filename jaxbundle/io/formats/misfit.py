@@ -22,9 +22,11 @@ EXTENT = 95.0  # percentile of the rays that estimates the size of an image that
 
 
 class Misfit(NamedTuple):
-    """Misfit of some rays, in the unit of the rays. `rays`: their number; root mean square per coordinate and
-    largest residual; `share`: the criterion, as a share of the image width; `behind`: number of points behind
-    cameras."""
+    """Misfit of some rays, in the unit of the rays.
+
+    `rays`: their number; root mean square per coordinate and largest residual; `share`: the criterion, as a share of
+    the image width; `behind`: number of points behind cameras.
+    """
 
     rays: int
     rms: float

@@ -13,12 +13,12 @@ from pydantic import BaseModel, ValidationError
 
 from jaxbundle.block.problems import BlockError, Problem, shown
 from jaxbundle.io.noted import Noted
-from jaxbundle.io.ranges import LARGEST_LENGTH
+from jaxbundle.io.ranges import MAX_LENGTH
 from jaxbundle.io.text_files import require_bytes
 
 AGAIN = "correct it, or export it again"
 SHOWN_ERRORS = 20  # maximum number of problems of one JSON file
-LARGEST_NUMBER = 1e30  # of any number: its square and its weight stay in the range of float64
+MAX_NUMBER = 1e30  # of any number: its square and its weight stay in the range of float64
 
 
 def wrong(path: Path, line: int, what: str, cure: str = AGAIN) -> BlockError:
@@ -59,7 +59,7 @@ def numbers(path: Path, line: int, fields: Sequence[str], noted: Noted, what: st
             value = float(field)
         except ValueError:
             value = math.nan
-        if not abs(value) < LARGEST_NUMBER or "_" in field:
+        if not abs(value) < MAX_NUMBER or "_" in field:
             told = f"{what}: " if what else ""
             noted.add(path.name, line, f"{told}'{shown(field)}' is not a finite number", AGAIN)
             return None
@@ -104,8 +104,10 @@ def validated(path: Path, model: type[BaseModel], content: Any) -> Any:
 
 
 def elements(path: Path, *tags: str) -> Iterator[tuple[str, ElementTree.Element]]:
-    """Iterates over the elements of an XML file with one of these tags. Each element is yielded when it is complete and
-    then deleted: a file of any size needs the memory of one element. `root` as tag: the root, when it begins.
+    """Iterates over the elements of an XML file with one of these tags.
+
+    Each element is yielded when it is complete and then deleted: a file of any size needs the memory of one element.
+    `root` as tag: the root, when it begins.
 
     Raises: BlockError where the file is not XML, or has a document type, which is not read for safety.
     """
@@ -200,6 +202,6 @@ class XmlNumbers:
 
 def require_lengths(path: Path, what: str, values: Float[np.ndarray, "..."]) -> None:
     """Raises BlockError where a coordinate is infinite or too large; NaN means unknown."""
-    bad = ~(np.isnan(values) | (np.abs(np.nan_to_num(values, posinf=np.inf)) <= LARGEST_LENGTH))
+    bad = ~(np.isnan(values) | (np.abs(np.nan_to_num(values, posinf=np.inf)) <= MAX_LENGTH))
     if bad.any():
-        raise wrong(path, 0, f"{int(bad.sum())} of the {what} are infinite or larger than {LARGEST_LENGTH:g}")
+        raise wrong(path, 0, f"{int(bad.sum())} of the {what} are infinite or larger than {MAX_LENGTH:g}")

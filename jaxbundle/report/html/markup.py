@@ -12,8 +12,11 @@ def text(words: object) -> str:
 
 
 def tag(name: str, inside: str | Iterable[str] = "", **attributes: object) -> str:
-    """An element as text. `inside` is markup; attributes are escaped: `class_`, `data_name` become class, data-name.
-    Attributes that are None are left out, and numbers have at most two decimals."""
+    """An element as text.
+
+    `inside` is markup; attributes are escaped: `class_`, `data_name` become class, data-name. Attributes that are None
+    are left out, and numbers have at most two decimals.
+    """
     written = "".join(
         f' {key.rstrip("_").replace("_", "-")}="{text(_short(value))}"'
         for key, value in attributes.items()

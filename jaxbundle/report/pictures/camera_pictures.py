@@ -31,8 +31,10 @@ class Correlations(NamedTuple):
 
 
 def distortion(figures: Figures, camera: int) -> Distortion | None:
-    """Radial distortion r (K1 r^2 + K2 r^4 + K3 r^6) of a camera; None for a camera model without such
-    coefficients, or a curve that is not finite."""
+    """Radial distortion r (K1 r^2 + K2 r^4 + K3 r^6) of a camera.
+
+    None for a camera model without such coefficients, or a curve that is not finite.
+    """
     one, values = figures.structure.cameras[camera], figures.interior[camera]
     place = {name: k for k, name in enumerate(one.model.elements)}
     names = [name for name in (*METRIC, *RELATIVE) if name in place]
@@ -40,7 +42,7 @@ def distortion(figures: Figures, camera: int) -> Distortion | None:
     if not names or length is None:
         return None
     left, low, right, high = image_format(figures, camera)
-    size = values[place["pixel_size"]] if one.metric and "pixel_size" in place else 1.0
+    size = values[place["pixel_size"]] if one.principal_distance_in_mm and "pixel_size" in place else 1.0
     radius = np.linspace(0.0, 0.5 * np.hypot(right - left, high - low) * size, RADII)
     relative = names[0] in RELATIVE
     scale = values[place[length]] if relative else 1.0

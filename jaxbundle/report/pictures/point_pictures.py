@@ -9,7 +9,7 @@ from jaxbundle.report.figures import Figures
 from jaxbundle.report.pictures.known import known, limits
 
 CELLS = 96  # maximum number of cells along the longer side of a map
-MOST_RAYS = 12  # points with this number of rays or more are counted together
+MAX_RAYS = 12  # points with this number of rays or more are counted together
 COMPONENTS = ("X", "Y", "Z")
 
 
@@ -65,11 +65,11 @@ def _medians(group: np.ndarray, values: np.ndarray, groups: int) -> np.ndarray:
 
 def ray_counts(figures: Figures) -> RayCounts:
     """Number and precision of the points for each number of rays."""
-    rays = np.minimum(figures.rays_of_point, MOST_RAYS)
-    numbers = np.arange(1, MOST_RAYS + 1)
+    rays = np.minimum(figures.rays_of_point, MAX_RAYS)
+    numbers = np.arange(1, MAX_RAYS + 1)
     sd = known(np.where(figures.structure.point_free, figures.points_sd, np.nan))
     medians = []
     for column in sd.T:
         usable = np.isfinite(column)
-        medians.append(_medians(rays[usable], column[usable], MOST_RAYS + 1)[1:])
-    return RayCounts(numbers, np.bincount(rays, minlength=MOST_RAYS + 1)[1:], np.stack(medians, 1))
+        medians.append(_medians(rays[usable], column[usable], MAX_RAYS + 1)[1:])
+    return RayCounts(numbers, np.bincount(rays, minlength=MAX_RAYS + 1)[1:], np.stack(medians, 1))

@@ -56,7 +56,7 @@ def test_cut_binary_files_are_told_with_their_byte(tmp_path, rig, name):
     cuts = [*range(0, min(len(data), 120), 4), *range(120, len(data), max(len(data) // 40, 1))]
     for cut in cuts:
         words = told(read_colmap, put(tmp_path / "model", {**rig, name: data[:cut]}))
-        assert words.startswith(f"{name}: ") and "cut off or damaged" in words, (cut, words)
+        assert words.startswith(f"{name}: ") and "truncated or damaged" in words, (cut, words)
     words = told(read_colmap, put(tmp_path / "model", {**rig, name: data + b"x"}))
     assert "1 bytes follow the last record" in words
 
