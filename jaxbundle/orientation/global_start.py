@@ -15,9 +15,11 @@ from jaxbundle.orientation.common_rays import CommonRays, Directions, common_ray
 from jaxbundle.orientation.linear_positions import Bases, Lines, chosen_points, positions
 from jaxbundle.orientation.ray_votes import share, votes
 from jaxbundle.orientation.rotation_average import Attitudes, averaged
+from jaxbundle.orientation.triplets import triplet_errors
 
 COARSER = 4.0  # factor of the standard deviations if few pairs fit: for a roughly known interior orientation
 ENOUGH = 0.5  # minimum share of the pairs that fit
+CLOSED = np.radians(2.0)  # right pairs close within some tenths of a degree, false twins by tens
 DOUBTED = 1e-3  # a smaller weight means that most pairs of a ray contradict it
 
 
@@ -49,7 +51,7 @@ def global_start(directions: Directions) -> GlobalStart:
     tried = len(pairs.pairs)
     common, pairs = _only(common, pairs, pairs.accepted)
     attitudes = averaged(pairs, directions.images)
-    steps = [_pairs_step(tried, pairs), _rotations_step(attitudes)]
+    steps = [_pairs_step(tried, pairs), _rotations_step(attitudes, pairs)]
     common, pairs = _only(common, pairs, attitudes.used)
     agreeing = share(*votes(directions, common, pairs, attitudes.second[attitudes.used]))
     weight = np.where(agreeing >= 0.5, 1.0, DOUBTED)
@@ -127,13 +129,17 @@ def _pairs_step(tried: int, pairs: BlockPairs) -> Step:
     )
 
 
-def _rotations_step(attitudes: Attitudes) -> Step:
+def _rotations_step(attitudes: Attitudes, pairs: BlockPairs) -> Step:
+    _, open_by = triplet_errors(pairs.pairs, pairs.rotation[:, 0])
+    closed = float((open_by < CLOSED).mean()) if len(open_by) else np.nan
     used = attitudes.residual[attitudes.used]
     return Step(
         "rotations averaged",
         (
             Figure("pairs left out", int((~attitudes.used).sum())),
             Figure("parts", len(np.unique(attitudes.part))),
+            Figure("triplets", len(open_by)),
+            Figure("triplets that close within 2 deg", 100 * closed, "%"),
             Figure("median misfit of a pair", np.degrees(np.median(used)) if len(used) else np.nan, "deg"),
             Figure("largest", np.degrees(used.max()) if len(used) else np.nan, "deg"),
         ),

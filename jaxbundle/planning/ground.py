@@ -10,7 +10,7 @@ from scipy.spatial import KDTree
 from jaxbundle.planning.flight import ControlSet, FlightPlan
 from jaxbundle.planning.lines import Frame, Stations
 
-SHAKE = 0.35  # share of the grid's spacing in both directions
+JITTER = 0.35  # share of the grid's spacing in both directions
 ROW_REACH = 0.35  # share of an image's height: distance of the outer control from the axes of the outer strips
 SAME = 1e-6  # share of the base: closer points are one point
 

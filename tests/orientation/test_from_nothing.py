@@ -8,6 +8,7 @@ import numpy as np
 import pytest
 from cases.bare_blocks import Bare, C, aerial, attitudes, bare, block_of, errors, scene, without_start
 from cases.plain_bundle import adjusted
+from scipy.spatial.transform import Rotation
 
 import jaxbundle as jb
 from jaxbundle.block.block import Block
@@ -18,6 +19,7 @@ from jaxbundle.orientation.checked_start import with_checked_start
 from jaxbundle.orientation.robust_intersection import Rays, apart
 from jaxbundle.orientation.scale_joints import without_scale
 from jaxbundle.orientation.to_object import Basis
+from jaxbundle.orientation.triplets import triplet_errors
 
 SOON = 0.02  # of the distance, 1 deg: the adjustment converges from there
 
@@ -313,6 +315,17 @@ def test_points_whose_rays_diverge():
     np.testing.assert_array_equal(found.behind, [False, True, False])
     np.testing.assert_allclose(found.points[1], [1.0, 0, 10.0], atol=1e-9)
     assert (found.points[[0, 2], 2] < 0).all()
+
+
+def test_rotations_of_triplets_close():
+    """One of the five pairs is wrong by 5 degrees: so is the only triplet that it belongs to."""
+    attitude = Rotation.from_rotvec(np.random.default_rng(0).normal(size=(4, 3))).as_matrix()
+    pairs = np.array([[0, 1], [0, 2], [1, 2], [1, 3], [2, 3]])
+    rotation = attitude[pairs[:, 1]] @ attitude[pairs[:, 0]].swapaxes(1, 2)
+    rotation[0] = Rotation.from_rotvec([0, np.radians(5), 0]).as_matrix() @ rotation[0]
+    triplets, errors_of = triplet_errors(pairs, rotation)
+    np.testing.assert_array_equal(triplets, [[0, 1, 2], [1, 2, 3]])
+    np.testing.assert_allclose(np.degrees(errors_of), [5, 0], atol=1e-6)
 
 
 def test_a_joint_of_few_points_leaves_the_scale_open():
