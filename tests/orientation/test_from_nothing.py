@@ -133,7 +133,7 @@ def test_parts_are_told(strips):
     assert [len(part.images) for part in found.parts] == [4, 4]
     assert not found.complete and not found.loose
     (told,) = (finding for finding in found.findings if finding.kind is Kind.PARTS)
-    assert "2 parts" in told.what
+    assert "2 separate parts" in told.what
 
 
 def test_a_loose_image_is_named(strips):
@@ -158,7 +158,7 @@ def test_control_brings_it_into_the_object_system(strips):
     off = np.asarray(found.block.exterior.projection_centre) - strips.centre - [500000.0, 5000000.0, 300.0]
     assert np.abs(off).max() < 1000 * SOON
     (told,) = (finding for finding in found.findings if finding.subjects == (Subject("control", ("p80",)),))
-    assert "not near its place" in told.what
+    assert "not near its position" in told.what
 
 
 @pytest.mark.thorough
