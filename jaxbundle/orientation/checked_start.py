@@ -237,8 +237,8 @@ def _with_points(
 ) -> tuple[Float[np.ndarray, "point 3"], Bool[np.ndarray, " point"]]:
     """Replaces absurd coordinates (of control by observed ones).
 
-    Points whose rays do not intersect are put far in front, unless they diverge by more than the angles of other rays:
-    in front such a point would go to infinity and bend its images (`robust_intersection.apart`).
+    Points whose rays do not intersect get a position far in front, unless they diverge by more than the angles of other
+    rays: in front such a point would go to infinity and bend its images (`robust_intersection.apart`).
     """
     count = len(sight.points)
     rays = np.bincount(sight.point, minlength=count)

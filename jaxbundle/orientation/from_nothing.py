@@ -326,7 +326,7 @@ def _points(
 ) -> tuple[Float[np.ndarray, "point 3"], Bool[np.ndarray, " point"]]:
     """Coordinates of points: given control, otherwise intersections; and which points lie behind their images.
 
-    A point whose rays do not intersect in front is put where `apart` says.
+    A point whose rays do not intersect in front gets the position that `apart` finds.
     """
     points, (rays, _) = found.points.copy(), _rays(work, state, state.oriented)
     count = len(points)

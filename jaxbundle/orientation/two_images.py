@@ -22,7 +22,7 @@ REAL = 1e-8  # imaginary part over 1 + |x| of a real root: rounding
 
 
 def cross_matrix(t: Float[Array, "3"]) -> Float[Array, "3 3"]:
-    """[t]x."""
+    """The skew-symmetric matrix [t]x of a vector."""
     zero = jnp.zeros(())
     return jnp.stack([zero, -t[2], t[1], t[2], zero, -t[0], -t[1], t[0], zero]).reshape(3, 3)
 
