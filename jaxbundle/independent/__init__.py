@@ -4,6 +4,7 @@ Both are adjusted by the engine of the bundle, with all its statistics.
 
     file                     content
     chains                   order of the images along strips
+    started                  orientations that are not given, computed from the rays
     formation                models of two photographs each, by relative orientation, with the errors of their points
     sensors                  a model as a sensor: 7 unknowns and 3 residuals per point
     translated               control, stations and navigation data of photographs, converted to models or strips

@@ -16,6 +16,7 @@ from jaxbundle.block.observation_kinds import CONTROL
 from jaxbundle.block.wording import figure
 
 EDGE = 0.3  # share of half of the width: farther points are near the edge
+PLAN = 7  # digits of a plan coordinate: metres of a national system
 TIES = 2  # number of points that tie an edge to another strip
 BANDS = {
     3: ("at its begin", "in its middle", "at its end"),
@@ -34,6 +35,10 @@ class Supported(NamedTuple):
     """Mask of points that another strip also sees."""
     stations: Float[np.ndarray, " image"]
     """Positions of observed projection centres along the strip."""
+    names: tuple[str, ...] = ()
+    """Names of the points; empty if no point is to be named."""
+    plan: Float[np.ndarray, "point 2"] = np.zeros((0, 2))
+    """X and Y of the points."""
 
 
 def full_control(block: Block) -> Bool[np.ndarray, " point"]:
@@ -72,11 +77,26 @@ def missing_control(name: str, s: Supported, bands: int, images: tuple[str, ...]
         if not open_edges or (here and len(open_edges) == 1):
             continue
         edge = "on both edges" if len(open_edges) == 2 else f"on the {open_edges[0]} edge"
+        begin, end = 100 * k / bands, 100 * (k + 1) / bands
         band = where if bands == 3 or k in (0, 3) else f"{where} quarter"
-        what = f"{name} has no control {edge} {band}, which polynomials of degree {bands - 1} need"
-        cure = "add points with X, Y, Z there, or adjust by models"
+        what = (
+            f"{name} has no control {edge} {band} (from {begin:.0f} to {end:.0f} % of its length), which polynomials of"
+        )
+        what += f" degree {bands - 1} need"
+        middle = (2 * k + 1) / bands - 1
+        examples = [text for edge in open_edges for text in _example(s, inside & edges[edge], middle)]
+        such = f", such as {' and '.join(examples)}" if examples else ""
+        cure = f"add points with X, Y, Z there{such}, or adjust by models"
         found.append(Finding(Kind.WEAK, what, cure, tuple(Subject("images", (image,)) for image in images)))
     return found
+
+
+def _example(s: Supported, there: Bool[np.ndarray, " point"], middle: float) -> list[str]:
+    """The measured point that is nearest to the middle of a band, with its plan coordinates."""
+    if not s.names or not there.any():
+        return []
+    nearest = np.flatnonzero(there)[np.argmin(np.abs(s.along[there] - middle))]
+    return [f"{s.names[nearest]} near {figure(s.plan[nearest, 0], PLAN)}, {figure(s.plan[nearest, 1], PLAN)}"]
 
 
 def swinging(name: str, terms: list[str], end: float, unit: str, images: tuple[str, ...] = ()) -> Finding:

@@ -25,8 +25,8 @@ from jaxbundle.independent.photograph_orientations import Oriented, Within, orie
 from jaxbundle.independent.propagation import Propagated, model_errors, propagated
 from jaxbundle.independent.sensor_block import SensorBlock
 from jaxbundle.independent.sensors import unwhitened
+from jaxbundle.independent.started import started
 from jaxbundle.numerics.program_cache import prepare_jax
-from jaxbundle.orientation.intersection import intersect
 from jaxbundle.solve.adjust import Progress, adjust
 from jaxbundle.solve.adjustment import Adjustment
 from jaxbundle.solve.options import Choices, Options
@@ -82,7 +82,8 @@ def adjust_models(
     """Adjusts a block by the method of independent models.
 
     Args:
-        block: photographs with approximate orientations; its interior elements are fixed.
+        block: photographs; its interior elements are fixed. Missing orientations are computed first, as by
+            `approximate`.
         options: as for `adjust`, also as keywords.
         pairs: names of the two images of each model; if None, successive images of strips.
         estimate_shared_errors: whether the common errors of all points of a model, those of its relative orientation,
@@ -104,7 +105,7 @@ def adjust_models(
     require_a(Block, block, "independent.adjust_models")
     prepare_jax()
     require_photographs(block, "independent.adjust_models")
-    block = intersect(block)
+    block, found = started(block)
     models, told = formed(block, pairs)
     of_models = model_block(block, models, estimate_shared_errors)
     adjustment = adjust(of_models.block, options, progress=progress, **choices)
@@ -117,7 +118,7 @@ def adjust_models(
         oriented,
         of_models.points,
         models,
-        in_order((*told, *of_models.findings, *fixed_interior(block))),
+        in_order((*found, *told, *of_models.findings, *fixed_interior(block))),
     )
 
 

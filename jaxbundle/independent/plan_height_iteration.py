@@ -28,9 +28,9 @@ from jaxbundle.independent.formation import Models
 from jaxbundle.independent.model_adjustment import Pairs, formed
 from jaxbundle.independent.model_block import seen_points
 from jaxbundle.independent.sensor_block import Seen, SensorBlock, Sensors, sensor_block
+from jaxbundle.independent.started import started
 from jaxbundle.numerics.host import on_device
 from jaxbundle.numerics.program_cache import prepare_jax
-from jaxbundle.orientation.intersection import intersect
 from jaxbundle.solve.adjust import adjust
 from jaxbundle.solve.adjustment import Adjustment
 
@@ -85,7 +85,7 @@ def plan_height(block: Block, *, pairs: Pairs | None = None) -> PlanHeight:
     """Adjusts a block by the iteration of plan and height of its independent models.
 
     Args:
-        block: near-vertical photographs with approximate orientations and control.
+        block: near-vertical photographs and control. Orientations that are not given are found first.
         pairs: names of the two images of each model; if None, images that follow each other in a strip.
 
     Returns: the coordinates at the limit of the iteration, without standard deviations; those of `adjust_models`
@@ -102,7 +102,7 @@ def plan_height(block: Block, *, pairs: Pairs | None = None) -> PlanHeight:
     require_a(Block, block, "independent.plan_height")
     prepare_jax()
     require_photographs(block, "independent.plan_height")
-    block = intersect(block)
+    block, of_start = started(block)
     models, told = formed(block, pairs)
     seen = seen_points(block, models, whole=True)
     state = _first(block, models, seen)
@@ -122,7 +122,7 @@ def plan_height(block: Block, *, pairs: Pairs | None = None) -> PlanHeight:
     places = np.asarray(adjusted.block.object_points)
     centres = np.full((len(block.structure.image_names), 3), np.nan)
     centres[of_models.images] = places[count:]
-    told = in_order((*told, *of_models.findings))
+    told = in_order((*of_start, *told, *of_models.findings))
     return PlanHeight(points, places[:count], centres, state.scales, state.rotations, np.array(changes), models, told)
 
 

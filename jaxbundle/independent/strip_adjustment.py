@@ -30,6 +30,7 @@ from jaxbundle.independent.polynomials import Form, correction, curbed
 from jaxbundle.independent.propagation import Propagated, all_errors, propagated, whitening
 from jaxbundle.independent.sensor_block import SensorBlock
 from jaxbundle.independent.sensors import lower_triangles
+from jaxbundle.independent.started import started
 from jaxbundle.independent.strip_block import (
     Frame,
     curb_group,
@@ -42,7 +43,6 @@ from jaxbundle.independent.strip_block import (
     strip_errors,
 )
 from jaxbundle.numerics.program_cache import prepare_jax
-from jaxbundle.orientation.intersection import intersect
 from jaxbundle.solve.adjust import Progress, adjust
 from jaxbundle.solve.adjustment import Adjustment
 from jaxbundle.solve.options import Choices, Options
@@ -106,7 +106,8 @@ def adjust_strips(
     """Adjusts a block by the method of independent strips.
 
     Args:
-        block: photographs with approximate orientations, control or observed stations; its interior elements are fixed.
+        block: photographs, control or observed stations; its interior elements are fixed. Missing orientations are
+            computed first, as by `approximate`.
         options: as for `adjust`, also as keywords.
         degree: degree of the polynomials, 2 or 3.
         form: "separate" polynomials of X, Y and Z; "plan-conformal", a complex one for X + iY and one for Z; or
@@ -137,7 +138,7 @@ def adjust_strips(
     if not is_located(block):
         cure = "give control or observed stations, or adjust by models or by the bundle method"
         raise BlockError([Problem("strips are corrected to control, and there is none", cure, "control")])
-    block = intersect(block)
+    block, of_start = started(block)
     models, told = formed(block, None if strips is None else _pairs(strips))
     found = _joined(block, models)
     names = tuple(f"strip {k + 1}" for k in range(len(found)))
@@ -147,7 +148,7 @@ def adjust_strips(
     ends = [end_errors(models, strip) for strip in found]
     sensors = polynomial_sensors(block, found, in_frames, names, how)
     of_strips = polynomial_block(block, found, in_frames, sensors, curb_group(ends, how))
-    told = [*told, *_layout(block, found, in_frames, degree)]
+    told = [*of_start, *told, *_layout(block, found, in_frames, degree)]
     adjustment = adjust(of_strips.block, options, progress=progress, **choices)
     oriented = _oriented(block, of_strips, in_frames, found, (adjustment, how))
     places = np.full(np.shape(block.object_points), np.nan)
@@ -209,6 +210,8 @@ def _layout(block: Block, strips: tuple[Strip, ...], in_frames: tuple[Frame, ...
             control[strip.points],
             times[strip.points] > 1,
             at[count:, 0][stations[strip.images]],
+            tuple(block.structure.point_names[p] for p in strip.points),
+            (frame.origin + frame.coordinates[:count] @ frame.axes.T)[:, :2],
         )
         found += control_layout.missing_control(_title(block, k, strip), supported, degree + 1, _ends(block, strip))
     return found

@@ -4,8 +4,8 @@ one photograph      three_points, three_point_resections, resections, direct_lin
 two photographs     five_points, two_images, pair_search, coplanarity, relative_orientations
 one model           absolute_orientations
 a whole block       from_nothing chooses the method: oriented (resection of many images), or global_start:
-                    common_rays -> block_pairs (minimal_samples, pair_kernel) -> rotation_average -> ray_votes
-                    -> linear_positions -> robust_intersection -> anchors, to_object
+                    common_rays -> block_pairs (minimal_samples, pair_kernel) -> triplets, rotation_average
+                    -> ray_votes -> linear_positions -> anchors, to_object -> robust_intersection, scale_joints
 given values        checked_start: absurd values are replaced
 """
 

@@ -123,8 +123,10 @@ def _looked_at(
     rotation, base = values[:, :9, 0].reshape(-1, 3, 3), values[:, 9:, 0]
     y = np.einsum("pij,pkj->pki", rotation, rays.first)
     fits, sine_squared = pair_fits(y, rays.second, base[:, None], rays.variance)
-    angle = np.where(rays.valid, np.sqrt(np.maximum(sine_squared, 0)), np.nan)
-    return (fits & rays.valid).sum(1), np.nanmedian(angle, 1)
+    fits &= rays.valid
+    counted = np.where(fits.any(1)[:, None], fits, rays.valid)  # of wrong rays the angles are anything
+    angle = np.where(counted, np.sqrt(np.maximum(sine_squared, 0)), np.nan)
+    return fits.sum(1), np.nanmedian(angle, 1)
 
 
 def pair_fits(

@@ -40,6 +40,7 @@ ROUNDS = 6  # rounds: resections of one round add points for the next
 SINGLE = 20  # number of worst images that are tried as the only wrong one
 SAME = 1e-9  # relative rounding of a coordinate
 FAR = 20.0  # multiple of the depth of the other points for a point whose rays do not intersect
+DIVERGING = 6.0  # times the median angle (four standard deviations): rays that fit no point in front, however far
 
 
 class _Start(NamedTuple):
@@ -236,7 +237,8 @@ def _with_points(
 ) -> tuple[Float[np.ndarray, "point 3"], Bool[np.ndarray, " point"]]:
     """Replaces absurd coordinates (of control by observed ones).
 
-    Points whose rays do not intersect get a position far in front.
+    Points whose rays do not intersect get a position far in front, unless they diverge by more than the angles of other
+    rays: in front such a point would go to infinity and bend its images (`robust_intersection.apart`).
     """
     count = len(sight.points)
     rays = np.bincount(sight.point, minlength=count)
@@ -257,7 +259,9 @@ def _with_points(
     # given coordinates are not changed: only intersections behind the cameras have no information
     own = np.linalg.norm(sight.points - meet.points, axis=1) <= SAME * np.linalg.norm(meet.points, axis=1)
     hopeless = absurd & ~better & ~meet.in_front & own & ~sight.is_known
-    return np.where(hopeless[:, None], _far(sight), points), hopeless
+    far = _far(sight)
+    hopeless &= medians(relative_off(sight, far), sight.point, count) <= DIVERGING * np.median(q)
+    return np.where(hopeless[:, None], far, points), hopeless
 
 
 def _far(sight: Sight) -> Float[np.ndarray, "point 3"]:

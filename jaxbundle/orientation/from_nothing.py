@@ -23,9 +23,10 @@ from jaxbundle.orientation.common_rays import Directions
 from jaxbundle.orientation.global_start import GlobalStart, PartOrientation, global_start
 from jaxbundle.orientation.oriented import oriented
 from jaxbundle.orientation.planes_and_lines import with_planes_and_lines
-from jaxbundle.orientation.robust_intersection import Met, Rays, ahead, met
+from jaxbundle.orientation.robust_intersection import Met, Rays, apart, met
+from jaxbundle.orientation.scale_joints import without_scale
 from jaxbundle.orientation.sight import Sight, direction_sigmas, sight_of
-from jaxbundle.orientation.start_findings import start_findings
+from jaxbundle.orientation.start_findings import Doubts, start_findings
 from jaxbundle.orientation.to_object import Basis, Placed, Views, closed_form, placed
 
 CONTROL_RAYS = 4  # minimum control points of an image for a resection
@@ -271,12 +272,12 @@ def _answer(work: _Work, way: Way, state: State, rest: tuple) -> Approximation:
     found, of = _met(work, state, done)
     off = np.zeros(len(work.sight.image))
     off[of] = found.off
-    typical = max(1.0, 1.4826 * float(np.median(found.off[found.fits])) if found.fits.any() else 1.0)
+    typical = max(1.0, _noise(found))
     suspects = np.zeros(len(off), bool)
     several = np.bincount(work.sight.point[of], minlength=len(found.points)) >= 2
     suspects[of] = (found.off > SUSPECT * typical) & several[work.sight.point[of]]
     steps.append(_points_step(found, SPREAD * work.directions.sigma[of], int(suspects.sum())))
-    points = _points(work, state, found, refused)
+    points, behind = _points(work, state, found, refused)
     angles = _angles(work, state)
     held = ~s.exterior_free
     centre = np.where(held[:, :3], np.asarray(block.exterior.projection_centre), state.centre)
@@ -289,8 +290,14 @@ def _answer(work: _Work, way: Way, state: State, rest: tuple) -> Approximation:
     new, _ = with_planes_and_lines(new)
     members = _parts(work, state, parts)
     loose = tuple(s.image_names[k] for k in np.flatnonzero(~done))
+    scale = np.zeros(len(done), bool)
+    for images, _ in members if way is Way.GLOBAL else ():
+        inside = np.isin(np.arange(len(done)), images)
+        fits = of[found.fits]
+        scale |= without_scale(work.sight.image[fits], work.sight.point[fits], inside)
+    scale &= ~_finite(work.given.centres)
     names = tuple(OrientedPart(tuple(s.image_names[k] for k in images), basis) for images, basis in members)
-    findings = start_findings(block, names, loose, suspects, refused)
+    findings = start_findings(block, names, loose, Doubts(suspects, refused, behind, scale))
     return Approximation(new, way, tuple(steps), names, loose, suspects, findings)
 
 
@@ -314,10 +321,12 @@ def _angles(work: _Work, state: State) -> Float[np.ndarray, "image 3"]:
     return np.where(work.given.oriented[:, None], np.asarray(work.block.exterior.angles), new)
 
 
-def _points(work: _Work, state: State, found: Met, refused: Bool[np.ndarray, " point"]) -> Float[np.ndarray, "point 3"]:
-    """Coordinates of points: given control, otherwise intersections.
+def _points(
+    work: _Work, state: State, found: Met, refused: Bool[np.ndarray, " point"]
+) -> tuple[Float[np.ndarray, "point 3"], Bool[np.ndarray, " point"]]:
+    """Coordinates of points: given control, otherwise intersections; and which points lie behind their images.
 
-    A point whose rays do not intersect gets the position of their closest approach, or far in front.
+    A point whose rays do not intersect in front gets the position that `apart` finds.
     """
     points, (rays, _) = found.points.copy(), _rays(work, state, state.oriented)
     count = len(points)
@@ -327,10 +336,18 @@ def _points(work: _Work, state: State, found: Met, refused: Bool[np.ndarray, " p
     lost = behind & (np.bincount(rays.point, found.fits, count) < 2) & (np.bincount(rays.point, minlength=count) >= 2)
     if lost.any():
         typical = float(np.median(depth[depth > 0])) if (depth > 0).any() else 1.0
-        points = np.where(lost[:, None], ahead(rays, typical, count), points)
+        placed_apart = apart(rays, typical, max(1 / SPREAD, _noise(found)), count)
+        points = np.where(lost[:, None], placed_apart.points, points)
+        lost &= placed_apart.behind
     believed = np.isfinite(work.given.points) & ~refused[:, None]
     points = np.where(believed, work.given.points, points)
-    return np.where(work.block.structure.point_free, points, np.asarray(work.block.object_points))
+    points = np.where(work.block.structure.point_free, points, np.asarray(work.block.object_points))
+    return points, lost & ~believed.all(1)
+
+
+def _noise(found: Met) -> float:
+    """Typical angle off of the rays that fit, in standard deviations."""
+    return 1.4826 * float(np.median(found.off[found.fits])) if found.fits.any() else 1.0
 
 
 def _parts(work: _Work, state: State, parts: list[tuple[np.ndarray, Basis]]) -> list[tuple[np.ndarray, Basis]]:

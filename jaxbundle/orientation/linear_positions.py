@@ -5,14 +5,18 @@
 The points are eliminated, as in the adjustment. Three directions of the reduced matrix S are shifts. The eigenvector of
 the smallest other eigenvalue has the positions, up to the scale. The second smallest eigenvalue shows how well they are
 determined: if it is similar, a part has an undetermined scale. The distances are updated in each pass, and rays that do
-    not fit lose their weight (rho).
+not fit lose their weight (rho).
+
+A part of the block that few points connect to the rest may shrink to one place, where its own rays intersect without
+misfit. The lengths of the bases, which the angles between the rays of a point give roughly, show it. Then the problem
+is solved again with weak observations of these lengths: b_ij (C_j - C_i) = parallax_ij.
 """
 
 from typing import NamedTuple
 
 import numpy as np
 import scipy.sparse
-from jaxtyping import Float, Int
+from jaxtyping import Bool, Float, Int
 from scipy.sparse.linalg import splu
 
 PASSES = 4
@@ -24,6 +28,9 @@ FIT = 4.0  # standard deviations for half of the weight of a ray
 NARROW = 9.0  # in squared standard deviations of a direction
 BEHIND = 1e-4  # weight of a ray to a point behind its image
 RAYS = 60  # rays per image: more do not improve a start
+CLEAR = 0.02  # rad: a smaller angle between rays may be the noise of a pair without base
+SHRUNK = 0.1  # length of a base over that by its angle; depths of a block differ by less
+PRIOR = 1e-3  # of the mean diagonal: weight of a length that is observed by its angle
 
 
 class Positions(NamedTuple):
@@ -50,6 +57,15 @@ class Lines(NamedTuple):
     points: int
 
 
+class Bases(NamedTuple):
+    """Bases of pairs of images: unit vectors in space from the first image to the second, and the median angle between
+    the rays of a point."""
+
+    pair: Int[np.ndarray, "pair 2"]
+    along: Float[np.ndarray, "pair 3"]
+    parallax: Float[np.ndarray, " pair"]
+
+
 def chosen_points(
     image: Int[np.ndarray, " ray"], point: Int[np.ndarray, " ray"], weight: Float[np.ndarray, " ray"], points: int
 ) -> Int[np.ndarray, " chosen"]:
@@ -67,15 +83,33 @@ def chosen_points(
     return np.unique(ray_point[order[place < RAYS]])
 
 
-def positions(lines: Lines) -> Positions:
-    """The positions with the best intersection of all lines."""
+def positions(lines: Lines, bases: Bases) -> Positions:
+    """The positions in which all lines meet best."""
+    found = _positions(lines, None)
+    if not _shrunk(found.centre, bases).any():
+        return found
+    again = _positions(lines, bases)
+    return found if _shrunk(again.centre, bases).sum() >= _shrunk(found.centre, bases).sum() else again
+
+
+def _shrunk(centre: Float[np.ndarray, "image 3"], bases: Bases) -> Bool[np.ndarray, " pair"]:
+    """Pairs whose base is many times shorter than the angles between their rays say."""
+    length = np.linalg.norm(centre[bases.pair[:, 1]] - centre[bases.pair[:, 0]], axis=1)
+    clear = bases.parallax > CLEAR
+    if not clear.any():
+        return clear
+    ratio = length / np.maximum(bases.parallax, CLEAR)
+    return clear & (ratio < SHRUNK * np.median(ratio[clear]))
+
+
+def _positions(lines: Lines, bases: Bases | None) -> Positions:
     across = np.eye(3) - lines.along[:, :, None] * lines.along[:, None, :]
     count = len(lines.image)
     distance, fit, depth, sine = np.ones(count), lines.weight, np.ones(count), np.zeros(count)
     centre, values = np.zeros((lines.images, 3)), np.zeros(2)
     for _ in range(PASSES):
         weight = fit * lines.weight / (distance * lines.sigma / lines.sigma.min()) ** 2
-        centre, values, points = _smallest(lines, weight[:, None, None] * across)
+        centre, values, points = _smallest(lines, weight[:, None, None] * across, bases)
         vector = points[lines.point] - centre[lines.image]
         depth = (vector * lines.along).sum(1)
         if (lines.weight * np.sign(depth)).sum() < 0:
@@ -95,7 +129,7 @@ def _typical(sine: Float[np.ndarray, " ray"], weight: Float[np.ndarray, " ray"])
 
 
 def _smallest(
-    lines: Lines, weighted: Float[np.ndarray, "ray 3 3"]
+    lines: Lines, weighted: Float[np.ndarray, "ray 3 3"], bases: Bases | None
 ) -> tuple[Float[np.ndarray, "image 3"], Float[np.ndarray, "2"], Float[np.ndarray, "point 3"]]:
     """Centres of norm sqrt(images), the two smallest eigenvalues over the mean diagonal, and the points."""
     v = _added(weighted, lines.point, lines.points)
@@ -120,6 +154,9 @@ def _smallest(
     size = reduced.diagonal().mean()
     ridge = scipy.sparse.identity(3 * lines.images, format="csc") * (RIDGE * size)
     solver = splu((reduced + ridge).tocsc(), permc_spec="MMD_AT_PLUS_A", options={"SymmetricMode": True})
+    if bases is not None:
+        centre, values = _with_lengths(reduced, bases, size, lines.images)
+        return centre, values, _points_at(lines, weighted, half, centre)
     x = np.random.default_rng(0).normal(size=(lines.images, 3, VECTORS))
     for _ in range(ITERATIONS):
         x = _orthonormal(x)
@@ -127,9 +164,40 @@ def _smallest(
     x = _orthonormal(x).reshape(-1, VECTORS)
     values, vectors = np.linalg.eigh(x.T @ (reduced @ x))
     centre = (x @ vectors[:, 0]).reshape(-1, 3) * np.sqrt(lines.images)
+    return centre, values[:2] / size, _points_at(lines, weighted, half, centre)
+
+
+def _points_at(
+    lines: Lines,
+    weighted: Float[np.ndarray, "ray 3 3"],
+    half: Float[np.ndarray, "point 3 3"],
+    centre: Float[np.ndarray, "image 3"],
+) -> Float[np.ndarray, "point 3"]:
+    """The points that belong to the positions. `half`: inverse factors of their normal equations."""
     sums = _added(np.einsum("rij,rj->ri", weighted, centre[lines.image]), lines.point, lines.points)
-    points = np.einsum("pji,pjk,pk->pi", half, half, sums)
-    return centre, values[:2] / size, points
+    return np.einsum("pji,pjk,pk->pi", half, half, sums)
+
+
+def _with_lengths(
+    reduced: scipy.sparse.csc_matrix, bases: Bases, size: float, images: int
+) -> tuple[Float[np.ndarray, "image 3"], Float[np.ndarray, "2"]]:
+    """Centres with weak observations of the bases, of norm sqrt(images), and the value of the form at them."""
+    clear = bases.parallax > CLEAR
+    (first, second), along, length = bases.pair[clear].T, bases.along[clear], bases.parallax[clear]
+    blocks = along[:, :, None] * along[:, None, :]
+    matrix = reduced + scipy.sparse.identity(3 * images, format="csc") * (RIDGE * size)
+    rows, columns = np.concatenate([first, second, first, second]), np.concatenate([first, second, second, first])
+    values = PRIOR * size * np.concatenate([blocks, blocks, -blocks, -blocks])
+    i, j = np.arange(3)[:, None], np.arange(3)
+    at = (3 * rows[:, None, None] + i + 0 * j).ravel(), (3 * columns[:, None, None] + j + 0 * i).ravel()
+    matrix = matrix + scipy.sparse.csc_matrix((values.ravel(), at), matrix.shape)
+    right = np.zeros((images, 3))
+    np.add.at(right, second, PRIOR * size * length[:, None] * along)
+    np.add.at(right, first, -PRIOR * size * length[:, None] * along)
+    x = splu(matrix.tocsc()).solve(right.ravel()).reshape(-1, 3)
+    x -= x.mean(0)
+    x *= np.sqrt(images) / np.linalg.norm(x)
+    return x, np.array([x.ravel() @ (reduced @ x.ravel()) / images / size, np.nan])
 
 
 def _orthonormal(x: Float[np.ndarray, "image 3 vector"]) -> Float[np.ndarray, "image 3 vector"]:

@@ -21,8 +21,10 @@ def turned(
     return np.arccos(np.clip((trace - 1) / 2, -1.0, 1.0))
 
 
-def replaced_images(block: Block, replaced: Bool[np.ndarray, " image"], now: Sight) -> list[Finding]:
-    """The finding about replaced images."""
+def replaced_images(
+    block: Block, replaced: Bool[np.ndarray, " image"], now: Sight, by: str = "replaced by a resection from its points"
+) -> list[Finding]:
+    """The finding about replaced images. `by`: how they were replaced."""
     structure = block.structure
     if not replaced.any():
         return []
@@ -39,10 +41,7 @@ def replaced_images(block: Block, replaced: Bool[np.ndarray, " image"], now: Sig
         f" and {distance[k]:.4g} {structure.object_unit}"
         for k in order
     ]
-    what = (
-        f"the approximate orientation of {counted(len(parts), 'image')} was replaced by a resection from its points:"
-        f" {named(parts)}"
-    )
+    what = f"the approximate orientation of {counted(len(parts), 'image')} was {by}: {named(parts)}"
     cure = "correct images.csv: the given values do not agree with the rays"
     subjects = tuple(Subject("images", (structure.image_names[chosen[k]],)) for k in order)
     up = before.reshape(-1, 3, 3)[:, 2, 2], now.rotation[chosen][:, 2, 2]  # of the axis from the object to the image

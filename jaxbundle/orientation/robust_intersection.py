@@ -67,11 +67,18 @@ def _closest(rays: Rays, used: Bool[np.ndarray, " ray"], count: int) -> Float[np
 
 def _off(rays: Rays, points: Float[np.ndarray, "point 3"]) -> Float[np.ndarray, " ray"]:
     """Angles in standard deviations; infinite behind the image or without a point."""
+    sine, depth = _passed(rays, points)
+    return np.where(depth > 0, sine / rays.sigma, np.inf)
+
+
+def _passed(
+    rays: Rays, points: Float[np.ndarray, "point 3"]
+) -> tuple[Float[np.ndarray, " ray"], Float[np.ndarray, " ray"]]:
+    """Sines of the angles between rays and points, and depths of the points along the rays."""
     vector = points[rays.point] - rays.centre
     distance = np.linalg.norm(vector, axis=1)
     sine = np.linalg.norm(np.cross(vector, rays.along), axis=1) / np.maximum(distance, 1e-300)
-    depth = (vector * rays.along).sum(1)
-    return np.where(depth > 0, sine / rays.sigma, np.inf)
+    return sine, (vector * rays.along).sum(1)
 
 
 def _cost(off: Float[np.ndarray, " ray"], point: Int[np.ndarray, " ray"], count: int) -> Float[np.ndarray, " point"]:
@@ -103,20 +110,53 @@ def _tried(
     return chosen
 
 
-def ahead(rays: Rays, typical: float, count: int) -> Float[np.ndarray, "point 3"]:
-    """Points in front of their images, as near as possible without a much larger misfit.
+class Apart(NamedTuple):
+    """Points whose rays do not meet in front of their images, and which of them are put behind."""
 
-    Nearly parallel rays of a rough start may intersect behind their images or at infinity; an adjustment does
-    not converge from there. `typical`: depth of the other points.
+    points: Float[np.ndarray, "point 3"]
+    behind: Bool[np.ndarray, " point"]
+
+
+def apart(rays: Rays, typical: float, noise: float, count: int) -> Apart:
+    """Where to start points whose rays do not meet in front of their images.
+
+    Rays of a rough start that are nearly parallel may meet behind their images, or at infinity, from where an
+    adjustment does not come back: such a point is put in front. Rays that diverge by more than their noise fit no point
+    in front; there it would run to infinity and bend the images on its way. The image equation knows no sides, so such
+    a point is put where its rays meet, if they do.
+
+    Args:
+        rays: all rays of the points.
+        typical: depth of the other points.
+        noise: typical angle off of the rays of the other points, in standard deviations of a direction.
+        count: number of points.
     """
+    front, least = _ahead(rays, typical, count)
+    crossing = _closest(rays, np.ones(len(rays.point), bool), count)
+    sine, depth = _passed(rays, crossing)
+    opposite = np.bincount(rays.point, depth < 0, count) == np.bincount(rays.point, minlength=count)
+    off = _rms(np.nan_to_num(sine, nan=np.inf), rays, count)
+    behind = opposite & (off <= FITS * noise) & (least > FITS * noise) & (least > NEARLY * off)
+    return Apart(np.where(behind[:, None], crossing, front), behind)
+
+
+def _rms(sine: Float[np.ndarray, " ray"], rays: Rays, count: int) -> Float[np.ndarray, " point"]:
+    """Root mean square angle off of the rays of each point, in standard deviations."""
+    number = np.maximum(np.bincount(rays.point, minlength=count), 1)
+    return np.sqrt(np.bincount(rays.point, (sine / rays.sigma) ** 2, count) / number)
+
+
+def _ahead(rays: Rays, typical: float, count: int) -> tuple[Float[np.ndarray, "point 3"], Float[np.ndarray, " point"]]:
+    """Points in front of their images, as near as the rays pass them nearly as well as farther away, and the least
+    misfit in front."""
     number = np.maximum(np.bincount(rays.point, minlength=count), 1)
     places, misfits = [], []
     for depth in typical * DEPTHS:
         at = rays.centre + depth * rays.along
         place = np.stack([np.bincount(rays.point, column, count) for column in at.T], 1) / number[:, None]
-        off = np.minimum(_off(rays, place) * rays.sigma, 1.0)
+        sine, along = _passed(rays, place)
         places.append(place)
-        misfits.append(np.sqrt(np.bincount(rays.point, off**2, count) / number))
+        misfits.append(_rms(np.where(along > 0, sine, 1.0), rays, count))
     misfit = np.stack(misfits)
     first = np.argmax(misfit <= NEARLY * misfit.min(0), axis=0)
-    return np.stack(places)[first, np.arange(count)]
+    return np.stack(places)[first, np.arange(count)], misfit.min(0)

@@ -1,6 +1,7 @@
 """Findings of a start without approximate values about the block."""
 
 from collections.abc import Sequence
+from typing import NamedTuple
 
 import numpy as np
 from jaxtyping import Bool
@@ -12,20 +13,30 @@ from jaxbundle.orientation.approximation import Approximation, OrientedPart
 from jaxbundle.orientation.to_object import Basis
 
 
+class Doubts(NamedTuple):
+    """What of a block does not agree with the rest of it."""
+
+    rays: Bool[np.ndarray, " ray"]
+    control: Bool[np.ndarray, " point"]
+    """Control points that are not near their places."""
+    behind: Bool[np.ndarray, " point"]
+    """Points whose rays meet behind their images."""
+    scale: Bool[np.ndarray, " image"]
+    """Images whose scale rests on fewer than three points."""
+
+
 def start_findings(
-    block: Block,
-    parts: Sequence[OrientedPart],
-    loose: Sequence[str],
-    suspects: Bool[np.ndarray, " ray"],
-    refused: Bool[np.ndarray, " point"],
+    block: Block, parts: Sequence[OrientedPart], loose: Sequence[str], doubts: Doubts
 ) -> tuple[Finding, ...]:
     """All findings in the order of a report."""
     found = [
         *_loose(loose),
         *_parts(parts),
         *_assumption(parts),
-        *_refused(block, refused),
-        *_suspects(block, suspects),
+        *_scale(block, doubts.scale),
+        *_refused(block, doubts.control),
+        *_suspects(block, doubts.rays),
+        *_behind(block, doubts.behind),
     ]
     return in_order(found)
 
@@ -58,6 +69,18 @@ def _assumption(parts: Sequence[OrientedPart]) -> list[Finding]:
     return [Finding(Kind.ASSUMED, what, "measure a control point off the line")]
 
 
+def _scale(block: Block, doubted: Bool[np.ndarray, " image"]) -> list[Finding]:
+    names = [block.structure.image_names[k] for k in np.flatnonzero(doubted)]
+    if not names:
+        return []
+    what = (
+        f"the distance of {counted(len(names), 'image')} from the others rests on fewer than 3 points that three images"
+    )
+    what += f" show: {named(names)}"
+    cure = "measure more points that three images show, or their stations; compare the bases with the flight"
+    return [Finding(Kind.WEAK, what, cure, _images(names), float(len(names)))]
+
+
 def _refused(block: Block, refused: Bool[np.ndarray, " point"]) -> list[Finding]:
     names = [block.structure.point_names[k] for k in np.flatnonzero(refused)]
     if not names:
@@ -83,6 +106,16 @@ def _suspects(block: Block, suspects: Bool[np.ndarray, " ray"]) -> list[Finding]
     cure = "re-measure them, or adjust with robust weights; the start does not use them, the adjustment does"
     subjects = tuple(Subject("rays", pair) for pair in names)
     return [Finding(Kind.SUSPECT, what, cure, subjects, float(len(names)), "rays")]
+
+
+def _behind(block: Block, behind: Bool[np.ndarray, " point"]) -> list[Finding]:
+    names = [block.structure.point_names[k] for k in np.flatnonzero(behind)]
+    if not names:
+        return []
+    it = "it" if len(names) == 1 else "them"
+    what = f"the rays of {counted(len(names), 'point')} meet behind their images only: {named(names)}"
+    cure = f"measure {it} again or drop {it}; the adjustment starts with {it} where the rays meet"
+    return [Finding(Kind.SUSPECT, what, cure, tuple(Subject("points", (name,)) for name in names))]
 
 
 def found_orientations(found: Approximation) -> tuple[Finding, ...]:

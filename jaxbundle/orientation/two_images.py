@@ -13,9 +13,12 @@ singular values:
 """
 
 import jax.numpy as jnp
-from jaxtyping import Array, Float
+from jaxtyping import Array, Bool, Float
+
+from jaxbundle.geometry.polynomial import all_roots
 
 SMALL = 1e-30  # instead of a squared base of 0
+REAL = 1e-8  # imaginary part over 1 + |x| of a real root: rounding
 
 
 def cross_matrix(t: Float[Array, "3"]) -> Float[Array, "3 3"]:
@@ -93,6 +96,28 @@ def eight_points(first: Float[Array, "point 2"], second: Float[Array, "point 2"]
     e = two[1].T @ e @ one[1]
     u, _, vt = jnp.linalg.svd(e)
     return (u * jnp.array([1.0, 1.0, 0.0])) @ vt
+
+
+def seven_points(
+    first: Float[Array, "7 2"], second: Float[Array, "7 2"]
+) -> tuple[Float[Array, "3 3 3"], Bool[Array, "3"]]:
+    """The fundamental matrices of seven pairs of image coordinates, of Frobenius norm 1, and which are real.
+
+    (second, 1)^T F (first, 1) = 0 in any units; the interior orientations need not be known. Of the two matrices A, B
+    that satisfy the seven equations those combinations are taken whose determinant vanishes,
+
+        det(A + x B) = det A + x tr(adj(A) B) + x^2 tr(adj(B) A) + x^3 det B = 0
+
+    (Hartley, Zisserman 2004, sec. 11.1.2). Three roots are real, or one.
+    """
+    one, two = _conditioned(first), _conditioned(second)
+    rows = (two[0][:, :, None] * one[0][:, None, :]).reshape(7, 9)
+    a, b = jnp.linalg.qr(rows.T, mode="complete")[0].T[7:].reshape(2, 3, 3)
+
+    of_a, of_b = cofactor_matrix(a), cofactor_matrix(b)  # tr(adj(A) B) is the sum of cof(A) times B
+    x = all_roots(jnp.stack([jnp.sum(of_a * a) / 3, jnp.sum(of_a * b), jnp.sum(of_b * a), jnp.sum(of_b * b) / 3]))
+    f = two[1].T @ (a + x.real[:, None, None] * b) @ one[1]
+    return f / jnp.linalg.norm(f, axis=(1, 2), keepdims=True), jnp.abs(x.imag) < REAL * (1 + jnp.abs(x))
 
 
 def _conditioned(xy: Float[Array, "point 2"]) -> tuple[Float[Array, "point 3"], Float[Array, "3 3"]]:

@@ -151,11 +151,15 @@ def without_start(block: Block) -> Block:
     )
 
 
+def attitudes(block: Block) -> np.ndarray:
+    """Rotation matrices object_from_image of all images."""
+    system, angles = block.structure.rotation_system, np.asarray(block.exterior.angles)
+    return np.stack([np.asarray(x) for x in system.rotation_from_angles(*angles.T)], 1).reshape(-1, 3, 3)
+
+
 def errors(found: Block, truth: Bare) -> tuple[np.ndarray, np.ndarray]:
     """Angles in degrees, and distances of the centres over the mean distance of the points, after a similarity."""
-    centre, angles = np.asarray(found.exterior.projection_centre), np.asarray(found.exterior.angles)
-    system = found.structure.rotation_system
-    rotation = np.stack([np.asarray(x) for x in system.rotation_from_angles(*angles.T)], 1).reshape(-1, 3, 3)
+    centre, rotation = np.asarray(found.exterior.projection_centre), attitudes(found)
     u, _, vt = np.linalg.svd((truth.rotation @ rotation.swapaxes(1, 2)).sum(0))
     turn = u @ np.diag([1, 1, np.linalg.det(u @ vt)]) @ vt
     angle = np.degrees(Rotation.from_matrix(truth.rotation.swapaxes(1, 2) @ turn @ rotation).magnitude())

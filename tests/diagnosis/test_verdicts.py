@@ -102,6 +102,8 @@ BLOCKS: dict[str, Verdict] = {
     "22-behind-the-camera/v-axis-up": Verdict(False, (Kind.FORMAT,), (), "y"),
     "22-behind-the-camera/x-y-exchanged": Verdict(False, (Kind.FORMAT,), ("cam",)),
     "27-equal-start/mean": Verdict(True, (Kind.START, Kind.REPAIRED), sigma0=0.9383),
+    "27-equal-start/mean-nopoints": Verdict(True, (Kind.REPAIRED,), sigma0=0.9383),
+    "27-equal-start/zero-nopoints": Verdict(True, (Kind.REPAIRED,), sigma0=0.9383),
     "27-equal-start/points-zero": Verdict(True, (Kind.REPAIRED,), sigma0=0.9383),
     "27-equal-start/zero": Verdict(True, (Kind.START, Kind.REPAIRED), sigma0=0.9383),
     "33-mirrored-solution/flat-control-from-below": Verdict(True, (Kind.START, Kind.REPAIRED), sigma0=0.9406),
@@ -120,8 +122,6 @@ BLOCKS: dict[str, Verdict] = {
 }
 REFUSED = (  # by the datum or by the start; the words speak of what is wrong
     ("04-gcps-on-a-line/line", "these lie on one line"),
-    ("27-equal-start/mean-nopoints", "the same approximate projection centre"),
-    ("27-equal-start/zero-nopoints", "the same approximate projection centre"),
     ("fuzz/solve/control-collinear-3", "these lie on one line"),
     ("fuzz/solve/strip-control-on-line", "these lie on one line"),
 )

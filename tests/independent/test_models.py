@@ -6,6 +6,7 @@ import equinox as eqx
 import jax.numpy as jnp
 import numpy as np
 import pytest
+from cases.bare_blocks import without_start
 
 import jaxbundle as jb
 from jaxbundle.block.findings import Kind
@@ -37,6 +38,19 @@ def strips_of(block: jb.Block) -> list[list[int]]:
 def test_strips_are_found(simulation):
     assert strips_of(simulation.block) == [[0, 1, 2, 3], [4, 5, 6, 7]]
     assert strips_of(jb.simulate(3, 5, side_overlap=0.6).block) == [list(range(k, k + 5)) for k in (0, 5, 10)]
+
+
+@pytest.mark.thorough
+def test_models_of_a_block_without_orientations(simulation, result):
+    """Found from the rays, stations and control first: the adjustment ends at the same points."""
+    found = jb.independent.adjust_models(without_start(simulation.block))
+    at = {int(p): k for k, p in enumerate(found.points)}
+    common = [p for p in result.points if int(p) in at]
+    assert len(common) > 0.9 * len(result.points)
+    new = found.object_points[[at[int(p)] for p in common]]
+    old = result.object_points[np.isin(result.points, common)]
+    assert np.median(np.abs(new - old)) < 0.02
+    assert any(f.kind is Kind.APPROXIMATED for f in found.findings)
 
 
 def test_errors_of_models(result):

@@ -50,7 +50,8 @@ def test_demanded_control():
     ends = [(-0.9, 0.8), (-0.9, -0.8), (0.9, 0.8), (0.9, -0.8)]
     (missing,) = missing_control("strip 1", _supported(ends), 3)
     assert missing.words == (
-        "strip 1 has no control on both edges in its middle, which polynomials of degree 2 need;"
+        "strip 1 has no control on both edges in its middle (from 33 to 67 % of its length), which polynomials of"
+        " degree 2 need;"
         " add points with X, Y, Z there, or adjust by models"
     )
     middle = [*ends, (0.0, 0.8)]
@@ -59,3 +60,11 @@ def test_demanded_control():
     assert not missing_control("strip 1", _supported(middle, ties=2), 3)
     assert not missing_control("strip 1", _supported(middle, stations=True), 3)
     assert len(missing_control("strip 1", _supported(ends), 4)) == 2
+
+
+def test_points_are_named_where_control_is_missing():
+    places = [(-0.9, 0.8), (-0.9, -0.8), (0.9, 0.8), (0.9, -0.8), (0.1, 0.9), (0.3, 0.9), (0.0, 0.0)]
+    plan = 1000.0 + 100.0 * np.array(places)
+    supported = _supported(places)._replace(control=np.arange(7) < 4, tie=np.zeros(7, bool))
+    (missing,) = missing_control("strip 1", supported._replace(names=tuple("ABCDEFG"), plan=plan), 3)
+    assert "such as E near 1010, 1090, or adjust by models" in missing.words

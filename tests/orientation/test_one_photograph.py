@@ -8,7 +8,7 @@ import pytest
 
 import jaxbundle as jb
 from jaxbundle.geometry.rotation import ALPHA_OMEGA_KAPPA, OMEGA_PHI_KAPPA
-from jaxbundle.orientation.two_images import eight_points
+from jaxbundle.orientation.two_images import eight_points, seven_points
 
 CENTRE, ANGLES = np.array([12.0, -7.0, 90.0]), np.array([0.1, -0.2, 0.7])
 INTERIOR = np.array([150.0, 1.5, -0.5, 1.0, 1.0])
@@ -126,3 +126,11 @@ def test_eight_points(shared_data):
     expected = np.array(example["E"])
     scale = np.sum(e * expected) / np.sum(e * e)
     np.testing.assert_allclose(scale * e, expected, atol=1e-5)
+
+
+def test_seven_points(shared_data):
+    """COLMAP's example, whose one real solution was computed by Matlab."""
+    example = json.loads((shared_data / "approximate" / "seven_point_colmap.json").read_text())
+    f, real = (np.asarray(x) for x in seven_points(jnp.array(example["x1"]), jnp.array(example["x2"])))
+    (found,) = f[real]
+    np.testing.assert_allclose(found / found[2, 2], np.array(example["F"]), atol=1e-6)

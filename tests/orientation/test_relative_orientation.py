@@ -10,6 +10,7 @@ import pytest
 from jaxbundle.camera.brown import DISTORTION_FREE
 from jaxbundle.camera.forward import BAL
 from jaxbundle.geometry.rotation import from_rotation_vector
+from jaxbundle.orientation.coplanarity import Pair, Rays, parallaxes
 from jaxbundle.orientation.relative_orientations import relative_orientation
 
 INTERIOR = np.array([100.0, 0.0, 0.0, 1.0, 1.0])
@@ -152,6 +153,23 @@ def test_translation_of_a_long_lens():
     b = found.projection_centres[1] / np.linalg.norm(found.projection_centres[1])
     assert np.degrees(np.arccos(b @ base / np.linalg.norm(base))) < 2.0
     np.testing.assert_allclose(found.rotations[1], np.eye(3), atol=5e-3)
+
+
+def test_published_translation_of_a_long_lens(shared_data):
+    """Three measured pairs of the same issue: without rotation they meet at a base across the view.
+
+    The base that was returned there, (1, -1, 1) / sqrt 3, has y-parallaxes of hundreds of pixels."""
+    data = example(shared_data, "essential_opencv17348")
+    c, middle = data["f"], np.array(data["pp"])
+    xy = [(np.array(data[name]) - middle) * [1, -1] for name in ("x1", "x2")]
+    first, second = (np.c_[v / c, -np.ones(3)] for v in xy)
+    covariance = np.tile(np.eye(2) / c**2, (3, 1, 1))
+    rays = Rays(*map(jnp.asarray, (first, second, covariance, covariance, np.ones(3, bool))))
+    shift = (xy[1] - xy[0]).mean(0)
+    across = jnp.array([*shift, 0.0]) / np.linalg.norm(shift)
+    assert np.abs(parallaxes(Pair(jnp.eye(3), across), rays)).max() < 1.0  # px
+    returned = jnp.array([1.0, 1.0, -1.0]) / np.sqrt(3)  # y up, axis backwards
+    assert np.abs(parallaxes(Pair(jnp.eye(3), returned), rays)).min() > 100
 
 
 @pytest.mark.thorough

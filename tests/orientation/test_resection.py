@@ -245,6 +245,18 @@ def test_points_on_a_line_give_no_number(start):
     assert "measure four or more that are not on one line" in found.words
 
 
+def test_a_cross_of_five_points_in_a_plane(over_images):
+    """No result that is far off and called a success: the truth, or the reflected plane, with the noise as misfit."""
+    cross = np.array([[0, 0, 0], [1, 0, 0], [-1, 0, 0], [0, 1, 0], [0, -1, 0], [0, 0, 0]]) * 200.0
+    rng = np.random.default_rng(3)
+    xy = np.asarray(one_image(cross).rays.coordinates) + 0.5 * rng.normal(size=(1100, 6, 2))
+    found = over_images(jnp.asarray(np.tile(cross, (1100, 1, 1))), jnp.asarray(xy), jnp.ones(xy.shape))
+    assert np.asarray(found.converged).all()
+    assert np.abs(np.asarray(found.residuals)).max() < 5  # px
+    off = np.linalg.norm(np.asarray(found.projection_centre) - CENTRE, axis=1)
+    assert (off < 20).mean() > 0.8
+
+
 def test_a_bad_image_spoils_no_other(over_images):
     """A line, no numbers, three points, none at all; with four points there is a result."""
     x, xy, _ = many(1100)

@@ -1,0 +1,52 @@
+"""Images whose distance from the others nothing but a few points tells.
+
+Rays of two images fix directions; the ratio of two bases is known by points that three images show. Pairs of images
+that such a point connects have one scale; one that rests on fewer than three points is not checked by anything.
+"""
+
+import numpy as np
+import scipy.sparse
+from jaxtyping import Bool, Int
+from scipy.sparse.csgraph import connected_components
+
+ENOUGH = 3  # points: one determines the ratio, a second one checks it, a third one decides
+
+
+def without_scale(
+    image: Int[np.ndarray, " ray"], point: Int[np.ndarray, " ray"], images: Bool[np.ndarray, " image"]
+) -> Bool[np.ndarray, " image"]:
+    """Images of a part that fewer than three points connect to the largest group with one scale.
+
+    Args:
+        image, point: of the rays that fit.
+        images: those of the part.
+    """
+    chosen = images[image]
+    order = np.lexsort((image[chosen], point[chosen]))
+    i, p = image[chosen][order], point[chosen][order]
+    first = np.ones(len(i), bool)
+    first[1:] = (np.diff(i) != 0) | (np.diff(p) != 0)
+    i, p = i[first].astype(np.int64), p[first]
+    three = np.flatnonzero(p[2:] == p[:-2]) if len(p) > 2 else np.zeros(0, int)
+    if images.sum() < 3:
+        return np.zeros_like(images)
+    a, b, c = i[three], i[three + 1], i[three + 2]
+    number = len(images)
+    links = np.concatenate(
+        [np.stack([a * number + b, b * number + c], 1), np.stack([a * number + b, a * number + c], 1)]
+    )
+    unique, count = np.unique(links, axis=0, return_counts=True)
+    unique = unique[count >= ENOUGH]
+    if not len(unique):
+        return images.copy()
+    nodes, at = np.unique(unique.ravel(), return_inverse=True)
+    rows, columns = at.reshape(-1, 2).T
+    graph = scipy.sparse.csr_matrix((np.ones(len(rows)), (rows, columns)), (len(nodes), len(nodes)))
+    part = connected_components(graph, directed=False)[1]
+    covered = np.zeros_like(images)
+    for k in range(part.max() + 1):
+        of_group = np.zeros_like(images)
+        for members in (nodes[part == k] // number, nodes[part == k] % number):
+            of_group[members] = True
+        covered = of_group if of_group.sum() > covered.sum() else covered
+    return images & ~covered
