@@ -29,6 +29,10 @@ def halved(image: Num[np.ndarray, "row column *channel"]) -> Num[np.ndarray, "ro
         image: 8 or 16 bit or floating point, grey or with channels.
 
     Returns: half as many rows and columns, rounded up, of the same type.
+
+    Example:
+        >>> jb.imagery.halved(np.array([[10, 12, 9], [14, 12, 9]], np.uint8))
+        array([[12,  9]], dtype=uint8)
     """
     rows, columns = image.shape[:2]
     if rows % 2 or columns % 2:

@@ -26,7 +26,12 @@ ORIENTATION = 274  # tag of EXIF
 
 @dataclass(frozen=True)
 class Photograph:
-    """An image file and its size."""
+    """An image file and its size.
+
+    Example:
+        >>> jb.imagery.photograph("photo.png").shape
+        (35, 35)
+    """
 
     path: Path
     """The file."""
@@ -56,6 +61,11 @@ def photograph(path: str | Path) -> Photograph:
     """What the header of an image file says.
 
     Raises: ImageError for a file that is not an image; FileNotFoundError.
+
+    Example:
+        >>> photo = jb.imagery.photograph("photo.png")
+        >>> photo.rows, photo.columns, photo.channels
+        (35, 35, 1)
     """
     path = Path(path)
     with open(path, "rb") as file:

@@ -28,7 +28,12 @@ BLOCK = 1 << 20  # bytes read at once
 
 @dataclass(frozen=True)
 class Pyramid:
-    """A pyramid in a file. Level 0 is the photograph itself."""
+    """A pyramid in a file. Level 0 is the photograph itself.
+
+    Example:
+        >>> jb.imagery.pyramid("photo.png").sizes[:2]
+        ((35, 35),)
+    """
 
     path: Path
     """The tiled TIFF."""

@@ -35,7 +35,13 @@ Pairs = Sequence[tuple[str, str]]
 
 
 class ModelAdjustment(NamedTuple):
-    """Result of `adjust_models`."""
+    """Result of `adjust_models`.
+
+    Example:
+        >>> found = jb.independent.adjust_models(block)
+        >>> found.adjustment.success, found.block
+        (True, <Block quarry: 4 images, 8 points, 32 rays, 1 camera, 12 control>)
+    """
 
     adjustment: Adjustment
     """Of the models: its images are the models, named "first-second", its points the object points and, behind them,

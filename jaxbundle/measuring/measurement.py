@@ -27,7 +27,12 @@ Told = Callable[[str], None]
 
 
 class MeasureOptions(NamedTuple):
-    """How photographs are measured."""
+    """How photographs are measured.
+
+    Example:
+        >>> jb.measuring.MeasureOptions(level=2).station_sigmas
+        (3.0, 6.0)
+    """
 
     level: int = 1
     """Level of the pyramids on which points are found."""

@@ -42,7 +42,12 @@ class PhotoSet(NamedTuple):
 
 
 class CameraGiven(NamedTuple):
-    """What the user says of the camera; None where the EXIF data shall say it."""
+    """What the user says of the camera; None where the EXIF data shall say it.
+
+    Example:
+        >>> jb.measuring.CameraGiven()
+        CameraGiven(principal_distance=None, sensor_width=None)
+    """
 
     principal_distance: float | None = None
     """px."""
@@ -54,6 +59,11 @@ def read_positions(path: Path) -> dict[str, Station]:
     """Stations by the names of their images: a CSV table with image, latitude, longitude (deg), altitude (m).
 
     Raises: ImageError for a table without these columns or with a field that is not a number.
+
+    Example:
+        >>> _ = Path("positions.csv").write_text("image,latitude,longitude,altitude\na.jpg,52.5,13.4,120.0\n")
+        >>> jb.measuring.read_positions(Path("positions.csv"))
+        {'a.jpg': Station(latitude=52.5, longitude=13.4, altitude=120.0)}
     """
     try:
         table = pl.read_csv(path, infer_schema=False)

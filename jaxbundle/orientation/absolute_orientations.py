@@ -27,7 +27,14 @@ MIRRORED_PART = (
 
 
 class AbsoluteOrientation(eqx.Module):
-    """Result of `absolute_orientation`. Angles in radians, lengths in the unit of the object system."""
+    """Result of `absolute_orientation`. Angles in radians, lengths in the unit of the object system.
+
+    Example:
+        >>> model = [[0, 0, 5], [0, 2, 5], [-2, 0, 5], [-2, 2, 5.2]]
+        >>> found = jb.orientation.absolute_orientation(model, 3.0 * np.array(model) + 10.0)
+        >>> round(float(found.similarity.scale), 6), bool(found.determined)
+        (3.0, True)
+    """
 
     similarity: Similarity
     """The chosen orientation."""

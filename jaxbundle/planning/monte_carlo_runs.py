@@ -30,7 +30,13 @@ DEVIATIONS = 4.0  # of the mean over all coordinates, beyond which it contradict
 
 
 class MonteCarlo(NamedTuple):
-    """Scatter of many adjustments about the truth, against the prediction."""
+    """Scatter of many adjustments about the truth, against the prediction.
+
+    Example:
+        >>> runs = jb.planning.monte_carlo(flight.truth, 20)
+        >>> runs.draws, runs.converged
+        (20, 20)
+    """
 
     draws: int
     converged: int
@@ -71,7 +77,10 @@ def monte_carlo(block: Block, draws: int = 500, seed: int = 0) -> MonteCarlo:
 
     Raises: TypeError for what is not a Block; ValueError for fewer than 20 draws.
 
-    Example: `monte_carlo(simulate_flight(plan).truth, 500).passed`
+    Example:
+        >>> runs = jb.planning.monte_carlo(flight.truth, 20)
+        >>> runs.ratios.shape == flight.truth.object_points.shape
+        True
     """
     require_a(Block, block, "planning.monte_carlo")
     if draws < 20:

@@ -23,7 +23,13 @@ from jaxbundle.solve.adjust import adjust
 
 
 class Effect(NamedTuple):
-    """How one value moves the function."""
+    """How one value moves the function.
+
+    Example:
+        >>> found = jb.planning.sensitivity(block, lambda b: b.object_points[4, 2])
+        >>> found.effects[0].unit
+        'px'
+    """
 
     subject: Subject
     """Table, names and component: ("rays", ("image", "point"), "x"), ("cameras", ("scan",), "principal_distance")."""

@@ -75,6 +75,11 @@ def simulate(
     observations are exact. `jaxbundle.planning.simulate_flight` has more to choose.
 
     Raises: ValueError for a flight whose images have no points in common.
+
+    Example:
+        >>> simulation = jb.simulate(1, 4, seed=1)
+        >>> len(simulation.block.images), len(simulation.block.structure.check_point)
+        (4, 4)
     """
     x, y, z = np.broadcast_to(np.asarray(control_sigma, float), 3).tolist()
     rows = (ControlSet("rows", sigmas=(x, y, z), count=control_rows),) if control_rows else ()

@@ -99,6 +99,11 @@ def adjust(
     Raises: TypeError for an object that is not a Block, or an unknown option; BlockError with all problems of the
     block; CheckpointError for a checkpoint of another block; ValueError for an unknown name or without float64;
     KeyboardInterrupt if it came before the first accepted step.
+
+    Example:
+        >>> result = jb.adjust(jb.read("quarry"))
+        >>> result.status.name, round(float(result.sigma0), 3)
+        ('CONVERGED', 0.957)
     """
     require_a(Block, block, "adjust")
     wanted = chosen(options, choices, "adjust")

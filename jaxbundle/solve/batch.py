@@ -121,6 +121,11 @@ def adjust_many(
 
     Raises: TypeError for an unknown option; ValueError for impossible options, or without
     float64.
+
+    Example:
+        >>> batch = jb.adjust_many({"quarry": block, "again": block})
+        >>> [(outcome.name, outcome.result.success) for outcome in batch.outcomes]
+        [('quarry', True), ('again', True)]
     """
     wanted = chosen(options, choices, "adjust_many")
     outcomes: list[Outcome] = []

@@ -62,6 +62,11 @@ def covariance_of(adjustment: Adjustment, function: Callable[[Block], Array]) ->
 
     Raises: TypeError for a function that does not return an array of numbers; ValueError for a function that is not
     differentiable or has values or derivatives that are not finite, and for a solution by conjugate gradients.
+
+    Example:
+        >>> found = jb.covariance_of(result, lambda b: jnp.linalg.norm(b.object_points[0] - b.object_points[1]))
+        >>> found.values.shape, bool(found.standard_deviations > 0)
+        ((), True)
     """
     require_a(Adjustment, adjustment, "covariance_of")
     if adjustment.reduced == "pcg":

@@ -60,6 +60,11 @@ def snoop(adjustment: Adjustment, level: float = LEVEL, most: int = 50) -> Snoop
     as its weights make residuals small.
 
     Raises: ValueError if the adjustment has no redundancy numbers, and for sensors other than photographs.
+
+    Example:
+        >>> cleaned = jb.snoop(result)
+        >>> cleaned.complete, cleaned.removed
+        (True, ())
     """
     require_a(Adjustment, adjustment, "snoop")
     require_photographs(adjustment.block, "snoop")
