@@ -98,7 +98,8 @@ def pyramid(path: str | Path, folder: str | Path | None = None, *, compression: 
     Raises: ImageError where the file is not a whole image; OSError where the pyramid cannot be written.
 
     Example:
-        >>> overview = jb.imagery.pyramid("8937.jpg").level(4)  # doctest: +SKIP
+        >>> jb.imagery.pyramid("photo.png").level(0).shape
+        (35, 35)
     """
     path = Path(path)
     folder = path.parent / FOLDER if folder is None else Path(folder)

@@ -33,7 +33,12 @@ TEMPLATE = -1  # status of a ray whose image gives the template
 
 
 class Refinement(NamedTuple):
-    """Rays measured again."""
+    """Rays measured again.
+
+    Example:
+        >>> jb.imagery.Refinement._fields
+        ('block', 'status', 'matches', 'rays')
+    """
 
     block: Block
     """The block with the new image coordinates and standard deviations."""

@@ -49,7 +49,13 @@ LEVELLED = CameraModel("levelled model", ("scale",), _weighted, components=3, nu
 
 
 class PlanHeight(NamedTuple):
-    """Result of `plan_height`."""
+    """Result of `plan_height`.
+
+    Example:
+        >>> found = jb.independent.plan_height(block)
+        >>> found.object_points.shape[1]
+        3
+    """
 
     points: Int[np.ndarray, " point"]
     """Numbers of the object points in the block of photographs."""

@@ -61,7 +61,14 @@ class Corrected(NamedTuple):
 
 
 class StripAdjustment(NamedTuple):
-    """Result of `adjust_strips`."""
+    """Result of `adjust_strips`.
+
+    Example:
+        >>> strips = jb.simulate(1, 5, control_rows=3, control_sigma=0.02).block
+        >>> found = jb.independent.adjust_strips(strips)
+        >>> found.adjustment.success, len(found.strips)
+        (True, 1)
+    """
 
     adjustment: Adjustment
     """Of the strips: its images are the strips, its interior elements the coefficients, lengths in the object unit; its

@@ -46,7 +46,12 @@ class MeasureOptions(NamedTuple):
 
 
 class Measured(NamedTuple):
-    """What was measured."""
+    """What was measured.
+
+    Example:
+        >>> jb.measuring.Measured._fields
+        ('photos', 'rays', 'stations', 'findings')
+    """
 
     photos: PhotoSet
     rays: MeasuredRays

@@ -168,7 +168,12 @@ def check_specification(prediction: Prediction, specification: Specification, po
 
 
 def summary_of(prediction: Prediction, points: Points | None = None) -> Summary:
-    """The judged points, all but control unless others are given, in a few numbers."""
+    """The judged points, all but control unless others are given, in a few numbers.
+
+    Example:
+        >>> type(jb.planning.summary_of(prediction)).__name__
+        'Summary'
+    """
     points = judged_points(prediction.block) if points is None else points
     deviations = np.sqrt(np.asarray(point_variances(prediction, points)))
     names = np.array(prediction.block.structure.point_names)[points]

@@ -47,7 +47,13 @@ class Effect(NamedTuple):
 
 
 class Sensitivity(NamedTuple):
-    """The effects of everything that was given, the largest first."""
+    """The effects of everything that was given, the largest first.
+
+    Example:
+        >>> found = jb.planning.sensitivity(block, lambda b: b.object_points[4, 2])
+        >>> len(found.effects) > 10
+        True
+    """
 
     value: float
     effects: tuple[Effect, ...]
@@ -72,6 +78,11 @@ def sensitivity(block: Block, function: Callable[[Block], Array]) -> Sensitivity
     or of an adjustment that has not converged, are 0 or NaN.
 
     Raises: TypeError for what is not a Block; ValueError for a function of more than one number.
+
+    Example:
+        >>> found = jb.planning.sensitivity(block, lambda b: b.object_points[4, 2])
+        >>> found.effects[0].subject.table
+        'rays'
     """
     require_a(Block, block, "planning.sensitivity")
     block = with_datum(block)

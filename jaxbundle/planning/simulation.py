@@ -32,14 +32,25 @@ __all__ = ["SimulatedFlight", "Simulation", "exact_coordinates", "simulate", "si
 
 
 class Simulation(NamedTuple):
-    """`block`: observations and approximate values; `truth`: the same structure with true values and no errors."""
+    """`block`: observations and approximate values; `truth`: the same structure with true values and no errors.
+
+    Example:
+        >>> simulation = jb.simulate(1, 4, seed=1)
+        >>> simulation.block.structure is simulation.truth.structure
+        True
+    """
 
     block: Block
     truth: Block
 
 
 class SimulatedFlight(NamedTuple):
-    """`block` and `truth` as those of a `Simulation`; `gross_errors`: the rays of the block that have one."""
+    """`block` and `truth` as those of a `Simulation`; `gross_errors`: the rays of the block that have one.
+
+    Example:
+        >>> flight.gross_errors.size
+        0
+    """
 
     block: Block
     truth: Block
@@ -117,7 +128,10 @@ def simulate_flight(plan: FlightPlan) -> SimulatedFlight:
 
     Raises: BlockError, a ValueError, with everything that keeps the flight from being flown.
 
-    Example: `simulate_flight(FlightPlan(3, 10, gnss=Navigation((0.05, 0.05, 0.1), "strip"))).block`
+    Example:
+        >>> flight = jb.planning.simulate_flight(plan)
+        >>> len(flight.block.images)
+        3
     """
     prepare_jax()
     problems = plan_problems(plan)

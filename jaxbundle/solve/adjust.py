@@ -50,7 +50,14 @@ CREEPING_STEPS = 10  # both methods need fewer iterations where the datum is det
 
 
 class Progress(NamedTuple):
-    """State after one iteration, for a progress callback; `step` is |J d| / |v|."""
+    """State after one iteration, for a progress callback; `step` is |J d| / |v|.
+
+    Example:
+        >>> steps = []
+        >>> _ = jb.adjust(block, progress=steps.append)
+        >>> steps[0].iteration, steps[0].accepted
+        (1, True)
+    """
 
     iteration: int
     cost: float

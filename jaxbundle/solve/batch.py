@@ -44,7 +44,13 @@ def failed_row(name: str, error: Exception, seconds: float) -> Row:
 
 @dataclass(frozen=True)
 class Outcome:
-    """A block of a batch: its adjustment, or the error that prevented it."""
+    """A block of a batch: its adjustment, or the error that prevented it.
+
+    Example:
+        >>> outcome = jb.adjust_many({"quarry": block}).outcomes[0]
+        >>> outcome.name, outcome.result.success
+        ('quarry', True)
+    """
 
     name: str
     result: Adjustment | ValueError
@@ -60,7 +66,13 @@ class Outcome:
 
 @dataclass(frozen=True)
 class Batch:
-    """Outcomes in the order of the blocks."""
+    """Outcomes in the order of the blocks.
+
+    Example:
+        >>> batch = jb.adjust_many({"quarry": block})
+        >>> batch.outcomes[0].name
+        'quarry'
+    """
 
     outcomes: tuple[Outcome, ...]
 

@@ -166,6 +166,11 @@ def error_ellipsoids(adjustment: Adjustment) -> Ellipsoids:
     """A-posteriori standard error ellipsoids of all object points.
 
     Raises: ValueError if no cofactors were computed.
+
+    Example:
+        >>> ellipsoids = jb.statistics.error_ellipsoids(result)
+        >>> ellipsoids.semi_axes.shape
+        (8, 3)
     """
     require_a(Adjustment, adjustment, "statistics.error_ellipsoids")
     if adjustment.cofactors is None:
@@ -179,6 +184,11 @@ def error_ellipses(adjustment: Adjustment) -> Ellipsoids:
     """A-posteriori standard error ellipses in the plane X, Y of all object points.
 
     Raises: ValueError if no cofactors were computed.
+
+    Example:
+        >>> ellipses = jb.statistics.error_ellipses(result)
+        >>> ellipses.semi_axes.shape
+        (8, 2)
     """
     require_a(Adjustment, adjustment, "statistics.error_ellipses")
     if adjustment.cofactors is None:

@@ -46,7 +46,12 @@ class Removed(NamedTuple):
 
 
 class Snooping(NamedTuple):
-    """The adjustment without the removed rows, and these rows in order. `complete`: whether no suspect remains."""
+    """The adjustment without the removed rows, and these rows in order. `complete`: whether no suspect remains.
+
+    Example:
+        >>> jb.snoop(result).adjustment.success
+        True
+    """
 
     adjustment: Adjustment
     removed: tuple[Removed, ...]

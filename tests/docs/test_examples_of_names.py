@@ -29,7 +29,11 @@ pytestmark = pytest.mark.xdist_group("pages")
 PACKAGE = ROOT / "jaxbundle"
 OPTIONS = doctest.NORMALIZE_WHITESPACE | doctest.ELLIPSIS
 # functions that take photographs of a survey: their examples are shown, and tests/imagery and tests/measuring run them
-SHOWN = {"jaxbundle.measuring.measurement.measure", "jaxbundle.imagery.refinement.refine"}
+SHOWN = {
+    "jaxbundle.imagery.refinement.refine",
+    "jaxbundle.imagery.tied.match_tied",
+    "jaxbundle.measuring.measurement.measure",
+}
 # examples that compile programs which no other example needs: several seconds each
 MANY_PROGRAMS = (
     "jaxbundle.independent.",
