@@ -17,6 +17,7 @@ from jaxtyping import Array, Bool, Float, Int
 
 from jaxbundle.block.facade import Facade
 from jaxbundle.block.findings import Finding
+from jaxbundle.block.notebook import result_html
 from jaxbundle.block.observation_kinds import ObservationGroup
 from jaxbundle.block.wording import counted
 from jaxbundle.camera.fiducials import InnerOrientation
@@ -24,6 +25,7 @@ from jaxbundle.camera.model import CameraModel, mixture
 from jaxbundle.geometry.rotation import OMEGA_PHI_KAPPA, RotationSystem
 from jaxbundle.numerics.host import array_module, freeze_arrays, is_concrete, on_device, on_host
 
+MAX_CAMERAS = 5  # named where a block shows itself
 CENTRE_ELEMENTS = ("X0", "Y0", "Z0")
 DISTANCES, COORDINATES = (
     ("principal_distance", "f"),
@@ -56,8 +58,10 @@ class Camera:
 
 
 class Owner(NamedTuple):
-    """The owner of a parameter: a row of a table, such as ("planes", "roof"), or a navigation group, such as
-    ("navigation", "strip 1")."""
+    """The owner of a parameter.
+
+    A row of a table, such as ("planes", "roof"), or a navigation group, such as ("navigation", "strip 1").
+    """
 
     table: str
     name: str
@@ -281,6 +285,22 @@ class Block(Facade):
             others[table] = others.get(table, 0) + group.count
         counts += [f"{count} {name}" for name, count in others.items()]
         return f"<Block {s.name or '(unnamed)'}: {', '.join(counts)}>"
+
+    def _repr_html_(self) -> str:
+        s = self.structure
+        cameras = [f"{camera.name} ({camera.model.name})" for camera in s.cameras[:MAX_CAMERAS]]
+        more = f" and {len(s.cameras) - MAX_CAMERAS} more" if len(s.cameras) > MAX_CAMERAS else ""
+        others = [f"{group.count} {group.structure.kind.table}" for group in self.groups]
+        rows = [
+            ("images", str(len(s.image_names))),
+            ("cameras", ", ".join(cameras) + more),
+            ("object points", f"{len(s.point_names)}, of which {len(s.check_point)} are check points"),
+            ("rays", str(len(s.ray_image))),
+            ("other observations", ", ".join(others) or "none"),
+            ("datum", str(s.datum)),
+            ("units", f"object {s.object_unit}, angles {s.angle_unit}"),
+        ]
+        return result_html(f"Block {s.name or '(unnamed)'}", rows, ())
 
     @property
     def n_observations(self) -> int:

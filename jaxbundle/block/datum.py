@@ -1,5 +1,4 @@
-"""The datum of a block: control and observed stations, fixed elements, minimal, or inner constraints (free
-network)."""
+"""The datum of a block: control and stations, fixed elements, minimal, or inner constraints."""
 
 import dataclasses
 

@@ -97,8 +97,9 @@ def _datum_rows(
     held: Int[Array, " image"],
     radius: Float[Array, ""],
 ) -> tuple[Float[Array, "row column"], Float[Array, "weighted_row column"]]:
-    """Derivatives of fixed elements and observations with respect to the seven parameters and the block's parameters:
-    first in units of the block's radius, then of the weighted observations.
+    """Derivatives of fixed elements and observations with respect to the datum and the parameters.
+
+    The rows are in units of the block's radius; those of observations are also returned with their weights.
 
     `fixed`, `held`: points and images with a fixed element; the rows of their free elements are 0.
     """

@@ -20,10 +20,10 @@ from jaxbundle.block.observed_places import Frame, frame_of, observed_places
 from jaxbundle.block.similarity_defect import SimilarityDefect, displacements, similarity_defect
 from jaxbundle.block.wording import named
 
-MAX_ANGLE = np.deg2rad(
-    10.0
-)  # standard deviation of a rotation: above this, error propagation of first order is wrong by 1.5 %
-MAX_SHARE = 0.1  # standard deviation of a position as a share of the block's radius: above this no map is possible
+# standard deviation of a rotation: above this, error propagation of first order is wrong by 1.5 %
+MAX_ANGLE = np.deg2rad(10.0)
+# standard deviation of a position in the block as a share of its radius: above this no map is possible
+MAX_SHARE = 0.1
 AT_REST = 0.05  # share of the maximum displacement: positions on the axis of a rotation
 
 
@@ -71,17 +71,24 @@ def weak_datum(block: Block, sigma0: float) -> tuple[Finding, ...]:
     factor = min(sigma0, 1.0) if np.isfinite(sigma0) else 1.0
     frame, points = precision.frame, np.asarray(precision.frame.block.object_points)
     points = points[np.isfinite(points).all(1)]
-    values, vectors = np.linalg.eigh(factor**2 * precision.covariance)
-    worst = vectors[:, -1:] * np.sqrt(max(values[-1], 0.0))
-    moved = np.linalg.norm(displacements(worst, points, frame.radius)[0], axis=1)
     extent = float(np.median(np.linalg.norm(points - np.median(points, 0), axis=1)))
-    angle = float(np.linalg.norm(worst[3:6]))
-    if angle <= MAX_ANGLE and np.median(moved) <= MAX_SHARE * extent:
+    values, vectors = np.linalg.eigh(factor**2 * precision.covariance)
+    directions = (vectors * np.sqrt(np.maximum(values, 0.0)))[:, ::-1]  # the weakest first
+    moves = displacements(directions, points, frame.radius)
+    for direction, move in zip(directions.T, moves, strict=True):
+        angle, inside = float(np.linalg.norm(direction[3:6])), np.linalg.norm(move - move.mean(0), axis=1)
+        if angle > MAX_ANGLE or np.median(inside) > MAX_SHARE * extent:
+            moved = float(np.linalg.norm(move, axis=1).max())
+            return (_finding(block, direction[:, None], moved, angle, Severity.FAILED),)
+    whole = np.linalg.norm(moves[0], axis=1)
+    if np.median(whole) <= MAX_SHARE * extent:
         return ()
-    return (_finding(block, worst, float(moved.max()), angle),)
+    # a translation of the whole block leaves its shape and its attitude as precise as they are
+    angle = float(np.linalg.norm(directions[3:6, 0]))
+    return (_finding(block, directions[:, :1], float(whole.max()), angle, Severity.CHECK),)
 
 
-def _finding(block: Block, worst: Float[np.ndarray, "7 1"], moved: float, angle: float) -> Finding:
+def _finding(block: Block, worst: Float[np.ndarray, "7 1"], moved: float, angle: float, severity: Severity) -> Finding:
     """The weakest direction in words, as the dominating part of a similarity transformation."""
     unit = block.structure.object_unit
     places = observed_places(block)
@@ -100,7 +107,7 @@ def _finding(block: Block, worst: Float[np.ndarray, "7 1"], moved: float, angle:
     )
     cure = "add control, or observed stations, away from the line of the existing ones"
     subjects = tuple(Subject("control" if table == "point" else "stations", (name,)) for table, name, _ in resting)
-    return Finding(Kind.IMPRECISE, what, cure, subjects, moved, unit, Severity.FAILED)
+    return Finding(Kind.IMPRECISE, what, cure, subjects, moved, unit, severity)
 
 
 def similarity_words(direction: Float[np.ndarray, "7 1"]) -> tuple[str, bool]:

@@ -16,9 +16,8 @@ from jaxbundle.block.residuals import Observations, weighted_residuals
 from jaxbundle.block.unknowns import Correction, Unknowns, corrected
 
 COLUMNS_AT_ONCE = 32
-MAX_UNKNOWNS = (
-    3000  # maximum number of unknowns of a dense design matrix: with 10 000 observations it needs 240 MB, N needs 72 MB
-)
+# maximum number of unknowns of a dense design matrix: with 10 000 observations it needs 240 MB, N needs 72 MB
+MAX_UNKNOWNS = 3000
 
 
 class Corrections(NamedTuple):

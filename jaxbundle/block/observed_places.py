@@ -41,8 +41,10 @@ def frame_of(block: Block) -> Frame:
 
 
 def _observed_places(block: Block) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
-    """Points and projection centres, with observed instead of approximate coordinates, and the positions that define
-    the datum: points or stations with three observed or fixed coordinates."""
+    """Points and projection centres, with observed instead of approximate coordinates.
+
+    Also the positions that define the datum: points or stations with three observed or fixed coordinates.
+    """
     structure = block.structure
     places = {"point": np.array(block.object_points), "image": np.array(block.exterior.projection_centre)}
     carrying = {"point": ~structure.point_free, "image": ~structure.exterior_free[:, :3]}

@@ -7,9 +7,8 @@ from jaxtyping import Array, Float
 from jaxbundle.camera.model import CameraModel, Residual
 from jaxbundle.geometry.rotation import Scalar
 
-NEWTON_STEPS = (
-    10  # Newton steps: a correction of the measurement needs one, a strong distortion of the projection about six
-)
+# Newton steps: a correction of the measurement needs one, a strong distortion of the projection about six
+NEWTON_STEPS = 10
 SETTLED = 1e-13  # share of the principal distance: below this a Newton step is rounding
 
 

@@ -27,9 +27,8 @@ PARAMETERS = {
 }
 NEWTON_STEPS = 20  # iterations: film is flat to 1e-3, so three are sufficient
 CONVERGED = 1e-13  # share of the size of the image
-DEGENERATE = (
-    3e-3  # ratio of minimum and maximum singular value: 0.06 for corners and sides of film, 0.02 for a narrow strip;
-)
+# ratio of minimum and maximum singular value: 0.06 for corners and sides of film, 0.02 for a narrow strip;
+DEGENERATE = 3e-3
 # three fiducials on a line, straight to 0.02 mm, have 2e-4
 
 Matrix = Float[np.ndarray, "3 3"]

@@ -10,9 +10,8 @@ from jaxbundle.camera.collinearity import Vector
 from jaxbundle.camera.model import CameraModel, ImagePoint, Residual
 from jaxbundle.geometry.rotation import Scalar
 
-NEWTON_STEPS = (
-    10  # Newton steps: a distortion of the projection needs one, a strong correction of the measurement about six
-)
+# Newton steps: a distortion of the projection needs one, a strong correction of the measurement about six
+NEWTON_STEPS = 10
 
 
 def projection(

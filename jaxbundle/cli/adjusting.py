@@ -19,7 +19,7 @@ from jaxbundle.cli.codes import BadInput, Code, LostProcess, told
 from jaxbundle.cli.forms import form_of, write_form
 from jaxbundle.cli.interruption import Interruption
 from jaxbundle.cli.methods import Methods, adjusted_by, started
-from jaxbundle.cli.progress import COMPILING, ProgressLines
+from jaxbundle.cli.progress import ProgressLines
 from jaxbundle.cli.runtime import finished
 from jaxbundle.diagnosis.adjusted import findings
 from jaxbundle.io import Sources, export, read
@@ -30,7 +30,7 @@ from jaxbundle.report.made import Made, input_files, made_now
 from jaxbundle.report.method_report import method_findings, require_place_of_method, write_method_report
 from jaxbundle.report.method_sections import MethodAdjustment
 from jaxbundle.report.text import wrapped
-from jaxbundle.solve.adjust import Progress, adjust
+from jaxbundle.solve.adjust import Phase, Progress, adjust
 from jaxbundle.solve.adjustment import Adjustment
 from jaxbundle.solve.checkpoint import CheckpointError, ClusterError
 from jaxbundle.solve.options import Options
@@ -55,8 +55,11 @@ class Wanted(NamedTuple):
 
 
 class Outcome(NamedTuple):
-    """Outcome of the adjustment of a block: the adjustment, its findings, the folder of the results, and the problem
-    of the target folder, if there is one."""
+    """Outcome of the adjustment of a block.
+
+    It has the adjustment, its findings, the folder of the results, and the problem of the target folder, if there is
+    one.
+    """
 
     adjustment: Adjustment
     found: tuple[Finding, ...]
@@ -123,10 +126,11 @@ def adjust_path(path: Path, folder: Path, wanted: Wanted, lines: ProgressLines, 
         lines.iteration(iteration)
         stop.step(iteration.accepted)
 
-    with lines.phase(COMPILING):
+    lines.rule = options.stop
+    with lines.phase("adjusting"):
         block, result = started(block, methods), None
         if methods.method == "bundle":
-            adjustment = _adjusted(block, options, wanted.checkpoint, progress)
+            adjustment = _adjusted(block, options, wanted.checkpoint, Watched(progress, lines.begins))
         else:
             result = adjusted_by(methods, block, options, progress)
             adjustment = result.adjustment
@@ -172,11 +176,16 @@ def _written(outcome: Outcome, made: Made | None) -> Outcome:
     return outcome._replace(folder=kept, code=code, problem=f"{problem}; the results were saved in {kept}")
 
 
-def _adjusted(
-    block: Block, options: Options, checkpoint: Path | None, progress: Callable[[Progress], None]
-) -> Adjustment:
+class Watched(NamedTuple):
+    """Who is told of iterations and phases."""
+
+    progress: Callable[[Progress], None]
+    phase: Callable[[Phase], None]
+
+
+def _adjusted(block: Block, options: Options, checkpoint: Path | None, watched: Watched) -> Adjustment:
     try:
-        return adjust(block, options=options, checkpoint=checkpoint, progress=progress)
+        return adjust(block, options=options, checkpoint=checkpoint, progress=watched.progress, phase=watched.phase)
     except CheckpointError as error:
         raise typer.BadParameter(str(error)) from error
     except ClusterError as error:

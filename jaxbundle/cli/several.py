@@ -46,8 +46,10 @@ class Task(NamedTuple):
 
 
 class Done(NamedTuple):
-    """Result of one path: the row of the table, its exit code, additional messages, and whether the adjustment was
-    interrupted."""
+    """Result of the adjustment of one path.
+
+    It has the row of the table, the exit code, additional messages, and whether the adjustment was interrupted.
+    """
 
     row: Row
     code: int

@@ -40,8 +40,9 @@ EXTREME = 1e-4  # share of the median sigma: the weight is 10^8 times that of th
 
 
 def causes(start: Block, adjustment: Adjustment) -> tuple[Finding, ...]:
-    """Causes of a failed convergence: extreme weights, control points that contradict the others, or else
-    rays and images.
+    """Causes of a failed convergence, as findings.
+
+    They are extreme weights, control points that contradict the others, or else rays and images.
 
     `start`: the block before the adjustment. No cause is searched for after a successful adjustment.
     """

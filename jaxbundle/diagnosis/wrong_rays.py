@@ -25,9 +25,8 @@ from jaxbundle.solve.weight_functions import Danish
 from jaxbundle.statistics.hypotheses import image_points
 
 CURED = 0.3  # maximum share of sigma0 that remains without the named rays
-FAR_OFF = (
-    5.0  # times the median residual of the start: errors of rough values are smaller; all rays are tested at the end
-)
+# times the median residual of the start: errors of rough values are smaller; all rays are tested at the end
+FAR_OFF = 5.0
 OUTLYING = 10.0  # times sigma at the end: not a random error
 NO_WEIGHT = 1e6  # times its sigma: a ray with practically no weight
 MAX_WRONG = 0.1  # share of the rays: if more are left out, the wrong rays may have been chosen

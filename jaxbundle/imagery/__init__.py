@@ -15,9 +15,9 @@ level l of a pyramid they are those of level 0 divided by 2^l. Readers and detec
     all images of a point, tied by the image equation           tied
     windows around points, pairs of them over many images       windows, window_pairs
     standard deviations of rays                                 ray_sigmas
-    rays of a block measured again                              refinement
+    remeasuring the rays of a block                              refinement
     interest points, candidates of pairs, tracks                interest_points, match_candidates, tracks
-    what photographs say of themselves                          exif
+    EXIF data of photographs                          exif
 """
 
 from jaxbundle.numerics.lazy_names import lazy_names

@@ -1,5 +1,6 @@
-"""What photographs say of themselves: camera, focal length and position in their EXIF data."""
+"""Reading EXIF data of photographs: camera, size, focal length and position."""
 
+import math
 from pathlib import Path
 from typing import Any, NamedTuple
 
@@ -8,7 +9,7 @@ from jaxbundle.imagery.photographs import of_any_size
 
 FULL_FRAME = 36.0  # mm: width of the film that the 35 mm equivalent of a focal length refers to
 MAKE, MODEL, EXIF, GPS = 271, 272, 0x8769, 0x8825  # tags and directories (CIPA DC-008)
-TIME, FOCAL, FOCAL_35 = 36867, 37386, 41989
+TIME, FOCAL, FOCAL_35, WIDTH, LENGTH = 36867, 37386, 41989, 40962, 40963
 SOUTH, LATITUDE, WEST, LONGITUDE, BELOW, ALTITUDE = 1, 2, 3, 4, 5, 6
 
 
@@ -20,24 +21,26 @@ class Station(NamedTuple):
     longitude: float
     """deg, east positive."""
     altitude: float
-    """m, as the receiver gives it."""
+    """m, as recorded by the receiver; NaN if not recorded."""
 
 
 class ExifData(NamedTuple):
-    """Empty text and None stand for what is not given."""
+    """EXIF data of a photograph; empty text and None mean missing values."""
 
     camera: str = ""
     """Maker and model."""
     focal: float | None = None
     """mm."""
     focal_35: float | None = None
-    """mm, of the 35 mm equivalent."""
+    """mm, for the 35 mm equivalent."""
     station: Station | None = None
     time: str = ""
+    size: tuple[int, int] | None = None
+    """Width and height in px, as the camera tells them."""
 
 
 def exif_of(path: Path) -> ExifData:
-    """EXIF data of a JPEG, PNG or TIFF file; empty where it has none."""
+    """EXIF data of a JPEG, PNG or TIFF file; empty without EXIF data."""
     module = required("PIL.Image")
     try:
         with of_any_size(module), module.open(path) as image:
@@ -48,7 +51,10 @@ def exif_of(path: Path) -> ExifData:
     make, model = (str(tags.get(tag, "")).strip(" \0") for tag in (MAKE, MODEL))
     camera = model if model.startswith(make) else f"{make} {model}".strip()
     time = str(details.get(TIME, "")).strip(" \0")
-    return ExifData(camera, _positive(details.get(FOCAL)), _positive(details.get(FOCAL_35)), _station(gps), time)
+    focal, focal_35 = _positive(details.get(FOCAL)), _positive(details.get(FOCAL_35))
+    width, height = _positive(details.get(WIDTH)), _positive(details.get(LENGTH))
+    size = (int(width), int(height)) if width and height else None
+    return ExifData(camera, focal, focal_35, _station(gps), time, size)
 
 
 def _positive(value: Any) -> float | None:
@@ -62,7 +68,7 @@ def _positive(value: Any) -> float | None:
 def _station(gps: dict) -> Station | None:
     try:
         latitude, longitude = (sum(float(x) / 60**k for k, x in enumerate(gps[t])) for t in (LATITUDE, LONGITUDE))
-        altitude = float(gps.get(ALTITUDE, 0.0))
+        altitude = float(gps.get(ALTITUDE, math.nan))
     except (KeyError, TypeError, ValueError, ZeroDivisionError):
         return None
     below = gps.get(BELOW, 0) in (1, b"\x01")
@@ -70,5 +76,5 @@ def _station(gps: dict) -> Station | None:
     station = Station(
         -latitude if south else latitude, -longitude if west else longitude, -altitude if below else altitude
     )
-    empty = station.latitude == station.longitude == 0  # a receiver without a fix
+    empty = station.latitude == station.longitude == 0  # a receiver without a position fix
     return station if not empty and abs(station.latitude) <= 90 and abs(station.longitude) <= 180 else None

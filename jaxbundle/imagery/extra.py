@@ -1,5 +1,4 @@
-"""Packages of the extra `measure`: they are loaded when they are used, and a message names the extra where they are not
-there."""
+"""Packages of the extra `measure`, imported on use; a message names the extra of a missing package."""
 
 import importlib
 from typing import Any
@@ -13,7 +12,7 @@ PACKAGES = {
 
 
 class MissingExtraError(ImportError):
-    """A package of the extra `measure` is not installed."""
+    """The error for a package of the extra `measure` that is not installed."""
 
     def __init__(self, module: str):
         package = PACKAGES.get(module, module)
@@ -24,9 +23,9 @@ class MissingExtraError(ImportError):
 
 
 def required(module: str) -> Any:
-    """A module of the extra `measure`.
+    """Imports a module of the extra `measure`.
 
-    Raises: MissingExtraError where it is not installed.
+    Raises: MissingExtraError if it is not installed.
     """
     try:
         return importlib.import_module(module)

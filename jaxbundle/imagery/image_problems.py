@@ -1,4 +1,4 @@
-"""Problems of photographs in the user's names, each with its cure, told all at once."""
+"""Problems of photographs in the user's names, each with its cure, reported all at once."""
 
 from collections.abc import Sequence
 
@@ -6,7 +6,7 @@ from jaxbundle.block.problems import Problem, printable
 
 
 class ImageError(ValueError):
-    """Photographs that cannot be used: all problems at once. The `table` of a problem is the path of the image.
+    """The error for unusable photographs, with all problems. The `table` of a problem is the path of the image.
 
     Example:
         >>> try:

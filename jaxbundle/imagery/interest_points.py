@@ -1,8 +1,8 @@
 """Interest points with descriptors: SIFT of OpenCV (Lowe 2004), spread evenly over the image.
 
-OpenCV counts from the centre of the first pixel, so 0.5 px are added. Without its precise upscaling its points are off
-by a quarter of a pixel. Of keypoints at one place, which differ in orientation, the strongest is taken, so that a place
-belongs to one track.
+OpenCV counts from the centre of the first pixel, so 0.5 px are added. Without its precise upscaling its points have
+errors of a quarter of a pixel. From keypoints at one position, which differ in orientation, the strongest is used, so
+that a position belongs to one track.
 """
 
 import zipfile
@@ -16,35 +16,35 @@ from jaxbundle.imagery.levels import between_levels
 from jaxbundle.imagery.pyramid_file import Pyramid
 from jaxbundle.numerics.whole_files import write_whole
 
-VERSION = 1  # of what is kept
-PLACES = 8  # by 8 places of an image: finer than the 3 x 3 of von Gruber, so that distortion is determined too
+VERSION = 1  # number of detected points per selected point
+PLACES = 8  # 8 x 8 regions of an image: finer than the 3 x 3 of von Gruber, so that distortion is also determined
 NUMBER = 2048
-CONTRAST = 0.01  # of SIFT; a quarter of its default, since weak texture is chosen per place
+CONTRAST = 0.01  # threshold of SIFT; a quarter of its default, since points are selected per region
 CENTRE = 0.5  # px: the centre of the first pixel
 
 
 class Features(NamedTuple):
-    """Interest points of an image."""
+    """Interest points of one image."""
 
     xy: Float[np.ndarray, "feature 2"]
     """px of level 0."""
     descriptors: Float[np.ndarray, "feature 128"]
-    """Square roots of the histograms, of unit length (Arandjelovic, Zisserman 2012)."""
+    """Square roots of the histograms, with unit length (Arandjelovic, Zisserman 2012)."""
 
 
 def eight_bit(grey: Float[np.ndarray, "row column"]) -> np.ndarray:
-    """Grey values from 0 to 255: those of 8 bit as they are, others stretched."""
+    """Grey values from 0 to 255: 8 bit values are unchanged, others are scaled."""
     largest = grey.max(initial=0.0)
     return np.clip(np.round(grey * (255 / largest if largest > 255 else 1.0)), 0, 255).astype(np.uint8)
 
 
 def features(image: Pyramid, level: int = 1, number: int = NUMBER) -> Features:
-    """The strongest interest points of each place of an image.
+    """Finds the strongest interest points of each region of an image.
 
     Args:
         image: its pyramid.
-        level: on which they are found; half the resolution is where most programs find the best tie points.
-        number: the largest number of points, spread over 8 x 8 places.
+        level: level of the detection; most programs find the best tie points at half the resolution.
+        number: the maximum number of points, spread over 8 x 8 regions.
     """
     cv2 = required("cv2")
     level = min(level, len(image.sizes) - 1)
@@ -63,7 +63,7 @@ def features(image: Pyramid, level: int = 1, number: int = NUMBER) -> Features:
 
 
 def kept_features(image: Pyramid, level: int = 1, number: int = NUMBER) -> Features:
-    """As `features`; they are kept beside the pyramid, so that an interrupted measurement goes on from them."""
+    """Like `features`, but results are saved next to the pyramid, so that an interrupted measurement can resume."""
     status = image.path.stat()
     key = f"{VERSION} {status.st_size} {status.st_mtime_ns} {level} {number}"
     file = image.path.with_suffix(".features.npz")
@@ -72,7 +72,7 @@ def kept_features(image: Pyramid, level: int = 1, number: int = NUMBER) -> Featu
             if str(kept["key"]) == key:
                 return Features(kept["xy"], kept["descriptors"])
     except (OSError, ValueError, KeyError, zipfile.BadZipFile):
-        pass  # there are none, or not whole ones
+        pass  # there is no file, or it is incomplete
     found = features(image, level, number)
     write_whole(file, lambda opened: np.savez(opened, key=key, xy=found.xy, descriptors=found.descriptors))
     return found
@@ -81,13 +81,13 @@ def kept_features(image: Pyramid, level: int = 1, number: int = NUMBER) -> Featu
 def spread(
     xy: Float[np.ndarray, "feature 2"], strength: Float[np.ndarray, " feature"], shape: tuple[int, ...], number: int
 ) -> np.ndarray:
-    """Numbers of the strongest points of each place of an image, one of several at one position.
+    """Indices of the strongest points of each region of an image, one of several at one position.
 
     Args:
         xy: positions in px.
         strength: the larger the better.
         shape: rows and columns of the image.
-        number: the largest number of points.
+        number: the maximum number of points.
     """
     order = np.argsort(-strength, kind="stable")
     _, first = np.unique(np.round(xy[order], 2), axis=0, return_index=True)
@@ -102,6 +102,6 @@ def spread(
 
 
 def empty_places(xy: Float[np.ndarray, "feature 2"], rows: int, columns: int, places: int = 3) -> int:
-    """How many of the places of von Gruber (3 x 3) of an image have no point."""
+    """Number of the regions of von Gruber (3 x 3) of an image without points."""
     column, row = (np.clip(xy / (columns, rows) * places, 0, places - 1).astype(int)).reshape(-1, 2).T
     return places**2 - len(np.unique(row * places + column))

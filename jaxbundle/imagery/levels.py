@@ -1,11 +1,11 @@
-"""The levels of an image pyramid: how a level is made of the one below, its size, and coordinates between levels.
+"""The levels of an image pyramid: computation of a level, its size, and coordinates between levels.
 
     g_{l+1}(i, j) = mean of g_l(2i, 2j), g_l(2i+1, 2j), g_l(2i, 2j+1), g_l(2i+1, 2j+1)
     size_{l+1} = ceil(size_l / 2);  u_l = 2 u_{l+1}
 
-Integers are rounded half up, from the rounded level below, as GDAL and Pillow do. Of an odd size the last row or column
-is repeated, so that the scale between levels is exactly 2 and one formula holds for coordinates. (GDAL cuts an odd
-size into equal parts instead: its levels have another scale.)
+Integers are rounded half up, from the rounded level below, as GDAL and Pillow do. For an odd size the last row or
+column is repeated, so that the scale between levels is exactly 2 and one formula holds for coordinates. (GDAL cuts an
+odd size into equal parts instead: its levels have another scale.)
 
 Image coordinates have their origin in the corner of the first pixel, whose centre is (0.5, 0.5), on every level.
 """
@@ -17,8 +17,8 @@ import numpy as np
 from jaxtyping import Array, Num
 
 T = TypeVar("T", float, np.ndarray, Array)
-SMALLEST = 256  # px: the longer side of the last level; what fits a tile is looked at as a whole
-WIDER = {"uint8": np.uint16, "uint16": np.uint32}  # hold the sum of four
+SMALLEST = 256  # px: the longer side of the last level, which fits a tile
+WIDER = {"uint8": np.uint16, "uint16": np.uint32}  # types that can store the sum of four values
 GREY = 0.299, 0.587, 0.114  # luminance of red, green and blue (ITU-R BT.601)
 
 
@@ -59,7 +59,7 @@ def level_sizes(rows: int, columns: int, smallest: int = SMALLEST) -> tuple[tupl
 
 
 def between_levels(coordinates: T, from_level: int, to_level: int) -> T:
-    """Image coordinates of one level on another one; lengths and standard deviations in px too.
+    """Converts image coordinates from one level to another; also lengths and standard deviations in px.
 
     Example:
         >>> between_levels(10.5, 0, 1)

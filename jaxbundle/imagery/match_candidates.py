@@ -1,20 +1,20 @@
-"""Candidates for homologous points of two images: mutual nearest descriptors that are clearly the nearest."""
+"""Candidates for homologous points of two images: mutual nearest descriptors with a clear second."""
 
 import numpy as np
 from jaxtyping import Float, Int
 
-RATIO = 0.8  # of the distances to the nearest and the second nearest descriptor (Lowe 2004, fig. 11)
+RATIO = 0.8  # ratio of the distances to the nearest and the second nearest descriptor (Lowe 2004, fig. 11)
 
 
 def candidates(
     first: Float[np.ndarray, "one 128"], second: Float[np.ndarray, "other 128"], ratio: float = RATIO
 ) -> Int[np.ndarray, "candidate 2"]:
-    """Pairs of features, each the nearest of the other.
+    """Pairs of features that are mutually nearest.
 
     Args:
-        first: descriptors of unit length.
-        second: of the other image.
-        ratio: largest ratio of the distance to that of the second nearest.
+        first: descriptors with unit length.
+        second: descriptors of the other image.
+        ratio: maximum ratio of the distance to that of the second nearest.
     """
     if len(first) < 2 or len(second) < 2:
         return np.zeros((0, 2), int)

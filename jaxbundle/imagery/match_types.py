@@ -1,4 +1,4 @@
-"""Types of least-squares matching: how windows are matched, what comes out, why a match is refused."""
+"""Types of least-squares matching: options, results, and reasons of refusal."""
 
 from enum import IntEnum
 from typing import Literal, NamedTuple
@@ -7,16 +7,16 @@ import equinox as eqx
 import numpy as np
 from jaxtyping import Array, Bool, Float, Int
 
-MIN_CORRELATION = 0.8  # refused in practice below 0.7 to 0.85
-MAX_SIGMA = 0.2  # px: a point that is less precise than this was found better by its detector
-SCALE = 0.5, 2.0  # of the window: beyond, the images show different details
+MIN_CORRELATION = 0.8  # in practice the limit is 0.7 to 0.85
+MAX_SIGMA = 0.2  # px: for less precise points the detector is better
+SCALE = 0.5, 2.0  # scale of the window: outside, the images show different details
 SETTLED = 0.003  # px: last step of the shift; a tenth of the precision of a good match
-MAX_ITERATIONS = 20  # a match that needs more does not come to its end
-SIGNIFICANT = 3.0  # standard deviations
+MAX_ITERATIONS = 20  # maximum number: a match that needs more does not converge
+SIGNIFICANT = 3.0  # limit in standard deviations
 
 
 class Refusal(IntEnum):
-    """Why a match is refused; MATCHED where it is not.
+    """Reason of the refusal of a match; MATCHED for an accepted one.
 
     Example:
         >>> jb.imagery.Refusal(0).name
@@ -44,9 +44,9 @@ _WORDS = {
     Refusal.NO_TEXTURE: "the window has no texture that determines a position",
     Refusal.NOT_CONVERGED: "the iteration does not converge",
     Refusal.MOVED_FAR: "the match lies too far from its predicted position",
-    Refusal.OUTSIDE: "the window leaves the part of the image that is searched",
+    Refusal.OUTSIDE: "the window leaves the searched part of the image",
     Refusal.SCALE: "the scale of the window is implausible",
-    Refusal.LOW_CORRELATION: "the windows are too unlike",
+    Refusal.LOW_CORRELATION: "the windows are too different",
     Refusal.IMPRECISE: "the position is not precise enough",
     Refusal.NO_WINDOW: "the point lies too near to the border of an image",
 }
@@ -55,7 +55,7 @@ Parameters = Literal["shift", "affine", "tested"]
 
 
 class MatchOptions(NamedTuple):
-    """How windows are matched.
+    """Options of least-squares matching.
 
     Example:
         >>> jb.imagery.MatchOptions(parameters="affine").max_iterations
@@ -63,25 +63,25 @@ class MatchOptions(NamedTuple):
     """
 
     parameters: Parameters = "tested"
-    """"shift": position and radiometry; "affine": six affine parameters and radiometry; "tested": affine only where
-    a parameter differs significantly from its start."""
+    """"shift": position and radiometry; "affine": six affine parameters and radiometry; "tested": affine only if a
+    parameter differs significantly from its start."""
     interpolation: Literal["spline", "bilinear"] = "spline"
-    """Of the searched image; bilinear as a control only."""
+    """Interpolation of the searched image; bilinear only for comparison."""
     max_iterations: int = MAX_ITERATIONS
     settled: float = SETTLED
-    """px: largest last step of the position."""
+    """px: maximum last step of the position."""
     min_correlation: float = MIN_CORRELATION
     max_sigma: float = MAX_SIGMA
-    """px: largest standard deviation of a coordinate."""
+    """px: maximum standard deviation of a coordinate."""
     max_shift: float | None = None
-    """px: largest distance from the start; a quarter of the window if it is not given."""
+    """px: maximum distance from the start; by default a quarter of the window."""
 
 
 DEFAULT = MatchOptions()
 
 
 class Matches(eqx.Module):
-    """Windows matched in other images; one row per match. Lengths in px.
+    """Results of matching windows in other images; one row per match. Lengths in px.
 
     Example:
         >>> start = [[17.5, 1, 0, 17.5, 0, 1]]
@@ -95,20 +95,20 @@ class Matches(eqx.Module):
     affine: Float[Array, "*match 2 2"]
     """Derivatives of x and y in the searched image with respect to x and y in the template."""
     radiometry: Float[Array, "*match 2"]
-    """r0, r1 of template = r0 + r1 searched."""
+    """Radiometric parameters r0, r1 of template = r0 + r1 searched."""
     covariance: Float[Array, "*match 2 2"]
-    """Of the position, from the residuals of the grey values."""
+    """Covariance of the position, from the residuals of the grey values."""
     sigma0: Float[Array, "*match"]
     """Standard deviation of the residuals, in grey values."""
     correlation: Float[Array, "*match"]
-    """Of template and matched window."""
+    """Correlation of template and matched window."""
     iterations: Int[Array, "*match"]
     status: Int[Array, "*match"]
-    """A `Refusal` as number."""
+    """A `Refusal` as a number."""
 
     @property
     def matched(self) -> Bool[np.ndarray, "*match"]:
-        """Which matches are accepted (concrete results only)."""
+        """Mask of the accepted matches (concrete results only)."""
         return np.asarray(self.status) == Refusal.MATCHED
 
     @property

@@ -8,10 +8,10 @@ differentiation of the interpolant. The covariance of the position is that of a0
 
     s0^2 = v^T v / (n - u),    Sigma = s0^2 N^-1
 
-Affine parameters that a window does not determine cost precision and outliers. With "tested", position and radiometry
-alone are solved first, and the affine solution is taken only where one of its four parameters differs by more than
-three standard deviations from its start. Where the grey values are traced by jit or grad, Newton steps with exact
-second derivatives follow, so that the derivative is that of the minimum (implicit function).
+Affine parameters that a window does not determine reduce the precision and cause outliers. With "tested", only position
+and radiometry are solved first, and the affine solution is used only if one of its four parameters differs by more than
+three standard deviations from its start. If the grey values are traced by jit or grad, Newton steps with exact second
+derivatives follow, so that the derivative is that of the minimum (implicit function).
 """
 
 import dataclasses
@@ -31,10 +31,10 @@ from jaxbundle.numerics.host import is_concrete, on_device
 from jaxbundle.numerics.program_cache import prepare_jax
 
 UNKNOWNS = 8
-MAX_STEP = 1.0  # px: further, the linearised grey values mean nothing
-TOGETHER = 256  # windows of one program: a few MB of rows
-NEWTON_STEPS = 4  # behind Gauss-Newton, where derivatives are wanted: the last ones are exact
-FLAT = 1e-10  # reciprocal condition of scaled normal equations that determine nothing
+MAX_STEP = 1.0  # px: for larger steps the linearised grey values are meaningless
+TOGETHER = 256  # windows per program call: a few MB of rows
+NEWTON_STEPS = 4  # after Gauss-Newton, if derivatives are requested: the last steps are exact
+FLAT = 1e-10  # reciprocal condition of scaled normal equations: below this they are undetermined
 
 
 class Pair(NamedTuple):
@@ -47,7 +47,7 @@ class Pair(NamedTuple):
 
 
 class Limits(NamedTuple):
-    """The limits of the options as arrays: one program serves all."""
+    """The limits of the options as arrays, so that one program is used for all."""
 
     max_iterations: Array
     settled: Array
@@ -57,7 +57,7 @@ class Limits(NamedTuple):
 
 
 class Form(NamedTuple):
-    """What a program depends on."""
+    """Static inputs of a program."""
 
     parameters: str
     bilinear: bool
@@ -77,13 +77,13 @@ def match(
     starts: Float[Any, "match 6"],
     options: MatchOptions = DEFAULT,
 ) -> Matches:
-    """Least-squares matches of many windows at once, from predicted positions.
+    """Matches many windows at once by least squares, from predicted positions.
 
-    jit, grad and vmap go through it. A search window should exceed the template, seen in it, by the expected shift and
-    eight pixels on each side: nearer to its border the spline feels the mirrored pixels.
+    It works with jit, grad and vmap. A search window should exceed the template by the expected shift and eight pixels
+    on each side: near the border the mirrored pixels affect the spline.
 
     Args:
-        templates: grey values around the points that are measured.
+        templates: grey values around the points to measure.
         searched: grey values of the other image around the predicted positions.
         references: x, y of the point in the template, px from the corner of the template.
         starts: a0, a1, a2, b0, b1, b2; a0, b0 are the predicted position, px from the corner of the searched window.
@@ -91,7 +91,7 @@ def match(
 
     Returns: positions with covariances, and for each match the reason if it is refused.
 
-    Raises: ValueError for arrays of other shapes or without float64.
+    Raises: ValueError for arrays with other shapes or without float64.
 
     Example:
         >>> start = [[17.8, 1, 0, 17.3, 0, 1]]
@@ -121,7 +121,7 @@ def match(
 
 
 def _padded(pairs: Pair, first: int) -> Pair:
-    """A part of constant size, so that one program serves all."""
+    """A part of constant size, so that one program is used for all."""
 
     def part(x: Array) -> Array:
         own = np.asarray(x)[first : first + TOGETHER]
@@ -136,7 +136,7 @@ def _matched(form: Form, limits: Limits, pairs: Pair) -> Matches:
 
 
 def residuals(p: Float[Array, "8"], pair: Pair, surface: Array, bilinear: bool) -> Float[Array, " pixel"]:
-    """v = r0 + r1 g(X, Y) - f of all pixels of the template."""
+    """Residuals v = r0 + r1 g(X, Y) - f of all pixels of the template."""
     x, y = _places(p, pair)
     g = spline.bilinear(surface, x, y) if bilinear else spline.value(surface, x, y)
     return p[6] + p[7] * g - pair.template.ravel()
@@ -151,7 +151,7 @@ def _places(p: Array, pair: Pair) -> tuple[Array, Array]:
 
 
 def normal_equations(p: Array, pair: Pair, surface: Array, bilinear: bool) -> tuple[Array, Array, Array]:
-    """N = A^T A, A^T v and v^T v; rows from the derivatives of the interpolant along both coordinates."""
+    """Computes N = A^T A, A^T v and v^T v; rows from the derivatives of the interpolant along both coordinates."""
     (x, y), one = _places(p, pair), jnp.ones(pair.template.size)
     interpolant = spline.bilinear if bilinear else spline.value
     g, gx = jax.jvp(lambda x: interpolant(surface, x, y), (x,), (one,))
@@ -166,7 +166,7 @@ def normal_equations(p: Array, pair: Pair, surface: Array, bilinear: bool) -> tu
 
 
 def _factor(normals: Array, free: Array) -> tuple[Array, Array, Array]:
-    """Cholesky factor of the normal equations with unit diagonal, the scale, and whether they determine everything."""
+    """Cholesky factor of the normal equations with unit diagonal, the scale, and whether all is determined."""
     both = free[:, None] & free
     diagonal = jnp.diagonal(normals)
     good = free & (diagonal > 0)
@@ -179,7 +179,7 @@ def _factor(normals: Array, free: Array) -> tuple[Array, Array, Array]:
 
 
 def _solution(bilinear: bool, limits: Limits, pair: Pair, surface: Array, free: Array) -> tuple[_State, Array, Array]:
-    """The end of the iteration, the covariance of all parameters and s0."""
+    """The result of the iteration, the covariance of all parameters and s0."""
 
     def step(state: _State) -> _State:
         normals, right, _ = normal_equations(state.p, pair, surface, bilinear)
@@ -217,7 +217,7 @@ def _first(pair: Pair, surface: Array, bilinear: bool) -> Array:
 
 
 def _chosen(form: Form, limits: Limits, pair: Pair) -> tuple[Array, Matches]:
-    """Which parameters are free, as wanted or by the test of the affine ones, and the match with them."""
+    """The free parameters, by the options or the test of the affine ones, and the match with them."""
     surface = pair.searched if form.bilinear else spline.coefficients(pair.searched)
     modes = {"shift": [False], "affine": [True], "tested": [False, True]}[form.parameters]
     shift_only = np.array([True, False, False, True, False, False, True, True])
@@ -259,7 +259,7 @@ def _result(bilinear: bool, limits: Limits, pair: Pair, surface: Array, solved: 
 
 
 def _status(limits: Limits, pair: Pair, state: _State, judged: tuple[Array, ...]) -> Array:
-    """The first reason that applies."""
+    """The first applicable reason of refusal."""
     x, y, correlation, covariance = judged
     p, (rows, columns) = state.p, pair.searched.shape
     inside: Bool[Array, ""] = (jnp.min(x) >= 0.5) & (jnp.max(x) <= columns - 0.5)

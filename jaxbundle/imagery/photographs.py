@@ -1,8 +1,8 @@
-"""Photographs as files: what their header says, and their pixels in strips.
+"""Files of photographs: headers, and pixels in strips.
 
 JPEG and PNG are read by Pillow, which decodes an image as a whole. TIFF is read by tifffile, segment by segment, so
-that a scanned photograph may be larger than the memory. The pixels are taken as they are stored: an orientation in the
-EXIF data is not applied, since a camera's interior orientation belongs to the stored image.
+that a scanned photograph may be larger than the memory. The pixels are used as stored: an orientation in the EXIF data
+is not applied, since a camera's interior orientation belongs to the stored image.
 """
 
 import warnings
@@ -18,10 +18,14 @@ from jaxbundle.block.problems import Problem
 from jaxbundle.imagery.extra import required
 from jaxbundle.imagery.image_problems import ImageError
 
-TIFF = (b"II*\0", b"MM\0*", b"II+\0", b"MM\0+")  # classic and BigTIFF, either order of bytes
+TIFF = (b"II*\0", b"MM\0*", b"II+\0", b"MM\0+")  # classic and BigTIFF, both byte orders
 TYPES = ("uint8", "uint16", "float32")
-AS_IS = {"L": (np.uint8, 1), "RGB": (np.uint8, 3), "I;16": (np.uint16, 1)}  # modes of Pillow; the others are converted
-ORIENTATION = 274  # tag of EXIF
+AS_IS = {
+    "L": (np.uint8, 1),
+    "RGB": (np.uint8, 3),
+    "I;16": (np.uint16, 1),
+}  # supported modes of Pillow; others are converted
+ORIENTATION = 274  # EXIF tag of the orientation
 
 
 @dataclass(frozen=True)
@@ -34,31 +38,31 @@ class Photograph:
     """
 
     path: Path
-    """The file."""
+    """Path of the file."""
     rows: int
     """Height in px."""
     columns: int
     """Width in px."""
     channels: int
-    """1 of a grey image, 3 of a colour image."""
+    """1 for a grey image, 3 for a colour image."""
     dtype: np.dtype
-    """Type of a grey value."""
+    """Data type of a grey value."""
     orientation: int = 1
     """Orientation of the EXIF data; 1: the image is stored upright."""
 
     @property
     def shape(self) -> tuple[int, ...]:
-        """Rows, columns and, of a colour image, channels."""
+        """Rows, columns and, for a colour image, channels."""
         return (self.rows, self.columns) if self.channels == 1 else (self.rows, self.columns, self.channels)
 
 
 def unreadable(path: Path, what: object) -> ImageError:
-    """The error of a file that is no image."""
+    """The error for a file that is not an image."""
     return ImageError([Problem(f"is not a readable image ({what})", "give a whole JPEG, PNG or TIFF file", str(path))])
 
 
 def photograph(path: str | Path) -> Photograph:
-    """What the header of an image file says.
+    """Reads the header of an image file.
 
     Raises: ImageError for a file that is not an image; FileNotFoundError.
 
@@ -81,7 +85,7 @@ def photograph(path: str | Path) -> Photograph:
 def strips(image: Photograph, height: int) -> Iterator[np.ndarray]:
     """The pixels from top to bottom, in strips of `height` rows; the last one may be lower.
 
-    Raises: ImageError where the file is truncated or damaged.
+    Raises: ImageError for a truncated or damaged file.
     """
     with open(image.path, "rb") as file:
         head = file.read(4)
@@ -93,7 +97,7 @@ def strips(image: Photograph, height: int) -> Iterator[np.ndarray]:
 
 
 def pixels(image: Photograph) -> np.ndarray:
-    """All pixels."""
+    """All pixels of the image."""
     return np.concatenate(list(strips(image, image.rows)))
 
 
@@ -115,12 +119,12 @@ def _in_strips(parts: Iterable[np.ndarray], height: int) -> Iterator[np.ndarray]
 
 @contextmanager
 def of_any_size(module: Any) -> Iterator[None]:
-    """Pillow without its limit of pixels: scanned photographs exceed it."""
+    """Opens an image with Pillow without its limit of pixels, which scanned photographs exceed."""
     limit = module.MAX_IMAGE_PIXELS
     module.MAX_IMAGE_PIXELS = None
     try:
         with warnings.catch_warnings():
-            warnings.simplefilter("ignore", UserWarning)  # corrupt EXIF data: pixels are wanted
+            warnings.simplefilter("ignore", UserWarning)  # corrupt EXIF data do not matter for the pixels
             yield
     finally:
         module.MAX_IMAGE_PIXELS = limit
@@ -135,7 +139,7 @@ def _with_pillow(path: Path) -> Photograph:
 
 
 def _mode(opened: Any) -> str:
-    """The mode in which the pixels are taken."""
+    """The mode in which the pixels are read."""
     if opened.mode in AS_IS:
         return opened.mode
     if opened.mode.startswith("I"):
@@ -167,7 +171,7 @@ def _tiff(path: Path) -> Photograph:
 
 
 def _tiff_parts(image: Photograph) -> Iterator[np.ndarray]:
-    """Rows of segments: strips, or tiles side by side."""
+    """Iterates over rows of segments: strips, or rows of tiles."""
     with required("tifffile").TiffFile(image.path) as file:
         page = file.pages[0]
         separate = page.planarconfig == 2 and page.samplesperpixel > 1

@@ -1,7 +1,7 @@
-"""Image pyramids in files: a tiled TIFF with one sub-image for each level, made once and found again.
+"""Image pyramids in files: a tiled TIFF with one sub-image for each level, made once and reused.
 
-The levels stand in SubIFDs of tiles of 256 x 256 pixels, which GDAL reads as overviews. What the pyramid was made of
-(size, time and SHA-256 of the source, the rule of the mean) stands in its description.
+The levels are SubIFDs with tiles of 256 x 256 pixels, which GDAL reads as overviews. The description contains the
+source of the pyramid: size, time and SHA-256 of the file, and the rule of the mean.
 """
 
 import hashlib
@@ -19,11 +19,11 @@ from jaxbundle.imagery.levels import grey, halved, level_sizes
 from jaxbundle.imagery.photographs import Photograph, photograph, strips
 from jaxbundle.numerics.whole_files import write_whole
 
-TILE = 256  # px; even, so that strips of a row of tiles can be halved one by one
+TILE = 256  # px; even, so that strips of a row of tiles can be halved separately
 VERSION = 1
 RULE = "mean of 2 x 2, half up, edge repeated"
 FOLDER = "pyramids"
-BLOCK = 1 << 20  # bytes read at once
+BLOCK = 1 << 20  # bytes per read
 
 
 @dataclass(frozen=True)
@@ -54,22 +54,22 @@ class Pyramid:
         return self.sizes[level]
 
     def window(self, level: int, first: tuple[int, int], size: tuple[int, int]) -> np.ndarray:
-        """Pixels of a part of a level; only the tiles that it touches are read.
+        """Pixels of a part of a level; only its tiles are read.
 
         Args:
             level: 0 for the photograph itself.
             first: row and column of the first pixel.
             size: rows and columns.
 
-        Returns: (row, column), of a colour image (row, column, channel).
+        Returns: (row, column), for a colour image (row, column, channel).
 
-        Raises: ValueError for a level or a window outside of the pyramid.
+        Raises: ValueError for a level or a window outside the pyramid.
         """
         last = first[0] + size[0], first[1] + size[1]
         rows, columns = self.size(level)
         if min(first) < 0 or min(size) < 1 or last[0] > rows or last[1] > columns:
             raise ValueError(
-                f"rows {first[0]} to {last[0]}, columns {first[1]} to {last[1]} leave level {level} of {self.source},"
+                f"rows {first[0]} to {last[0]}, columns {first[1]} to {last[1]} exceed level {level} of {self.source},"
                 f" which has {rows} rows and {columns} columns"
             )
         with required("tifffile").TiffFile(self.path) as file:
@@ -86,16 +86,16 @@ class Pyramid:
 
 
 def pyramid(path: str | Path, folder: str | Path | None = None, *, compression: str | None = None) -> Pyramid:
-    """The image pyramid of a photograph: found where it was made before, else made.
+    """The image pyramid of a photograph, from an existing file or newly made.
 
     Args:
         path: JPEG, PNG or TIFF, 8 to 16 bit, grey or colour. A TIFF may be larger than the memory.
-        folder: where pyramids are kept; the folder `pyramids` beside the photograph if it is not given.
-        compression: of the tiles, None or "zlib".
+        folder: folder of the pyramids; by default `pyramids` in the folder of the photograph.
+        compression: compression of the tiles, None or "zlib".
 
-    Returns: the pyramid, whose windows are read without the rest.
+    Returns: the pyramid; windows are read separately.
 
-    Raises: ImageError where the file is not a whole image; OSError where the pyramid cannot be written.
+    Raises: ImageError for an incomplete image; OSError if the pyramid cannot be written.
 
     Example:
         >>> jb.imagery.pyramid("photo.png").level(0).shape
@@ -123,7 +123,7 @@ def source_hash(path: Path) -> str:
 
 
 def _found(file: Path, source: Path) -> Pyramid | None:
-    """The pyramid of a file, if it was made of this source by this rule."""
+    """The pyramid of a file, if it was made from this source with this rule."""
     if not file.is_file():
         return None
     tifffile = required("tifffile")
@@ -145,7 +145,7 @@ def _found(file: Path, source: Path) -> Pyramid | None:
 
 
 def _write(opened: BinaryIO, image: Photograph, folder: Path, compression: str | None) -> None:
-    """Writes level after level; each is halved strip by strip while it is written."""
+    """Writes all levels; each level is halved strip by strip during writing."""
     status = image.path.stat()
     key = {
         "version": VERSION,
@@ -189,7 +189,7 @@ def _rows_of(image: np.ndarray) -> Iterator[np.ndarray]:
 
 
 def _tiles(rows_of_level: Iterator[np.ndarray], following: np.ndarray | None) -> Iterator[np.ndarray]:
-    """The tiles of a level, row by row; the means of each row of tiles go to the following level."""
+    """The tiles of a level, row by row; the means of each row of tiles are passed to the next level."""
     first = 0
     for strip in rows_of_level:
         if following is not None:

@@ -1,12 +1,12 @@
-"""Standard deviations of rays that least-squares matching measured."""
+"""Standard deviations of rays measured by least-squares matching."""
 
 import numpy as np
 from jaxtyping import Bool, Float, Int
 
 # Residuals of a bundle over the sigmas of matching: 0.155 px over 0.053 px on 7966 rays of natural texture, since
-# compression and aliasing correlate the grey values of neighbours, and surfaces are no planes.
+# # compression and aliasing correlate the grey values of neighbours, and surfaces are not planes.
 ATTAINED = 3.0
-MIN_SIGMA = 0.02  # px: the best that targets attain; grey values without noise would claim more
+MIN_SIGMA = 0.02  # px: best precision of targets; grey values without noise would give smaller values
 
 
 def ray_sigmas(
@@ -15,15 +15,15 @@ def ray_sigmas(
     point: Int[np.ndarray, " pair"],
     points: int,
 ) -> tuple[Float[np.ndarray, "pair 2"], Float[np.ndarray, "point 2"]]:
-    """Standard deviations of x and y, of the measured rays and of the templates' rays.
+    """Standard deviations of x and y, for the measured rays and for the rays of the templates.
 
-    A template defines its point. Its noise is in the covariances of all rays that were matched with it, so that its
-    ray gets their root mean square.
+    A template defines its point. Its noise is in the covariances of all rays that were matched with it, so its ray
+    gets their root mean square.
 
     Args:
-        covariance: of the matched positions, px^2.
-        good: matches that are accepted.
-        point: of each pair.
+        covariance: covariances of the matched positions, px^2.
+        good: mask of accepted matches.
+        point: index of the point of each pair.
         points: number of points.
     """
     own = np.maximum(ATTAINED * np.sqrt(covariance[:, (0, 1), (0, 1)]), MIN_SIGMA)

@@ -1,8 +1,8 @@
-"""Existing rays measured again: every ray of a point against one template, from the position that is given.
+"""Remeasuring existing rays: all rays of a point with one template, from the given positions.
 
-The template of a point is taken from the image that sees it in the middle of all directions; its ray stays. The start
+The template of a point is in the image with the most central viewing direction; its ray is not changed. The start
 of the six affine parameters is the image of a small plane through the point that faces these directions, by the image
-equation. A ray whose match is refused stays as it was.
+equation. A ray with a refused match is not changed.
 """
 
 from collections.abc import Mapping
@@ -29,11 +29,11 @@ from jaxbundle.numerics.compilation import Compiled
 from jaxbundle.numerics.host import on_device
 from jaxbundle.numerics.shapes import grid_size
 
-TEMPLATE = -1  # status of a ray whose image gives the template
+TEMPLATE = -1  # status of a ray in the image of the template
 
 
 class Refinement(NamedTuple):
-    """Rays measured again.
+    """Result of remeasuring rays.
 
     Example:
         >>> jb.imagery.Refinement._fields
@@ -43,14 +43,14 @@ class Refinement(NamedTuple):
     block: Block
     """The block with the new image coordinates and standard deviations."""
     status: Int[np.ndarray, " ray"]
-    """A `Refusal` as number: 0 where the ray was measured again; -1 of rays whose image gives the template."""
+    """A `Refusal` as a number: 0 for a remeasured ray; -1 for rays of templates."""
     matches: PairMatches
-    """Of the rays that were tried, in the order of `rays`."""
+    """Values of the tried rays, in the order of `rays`."""
     rays: Int[np.ndarray, " pair"]
 
     @property
     def measured(self) -> Bool[np.ndarray, " ray"]:
-        """Rays that were measured again, and those of the templates they were measured against."""
+        """Mask of the remeasured rays and of the rays of their templates."""
         structure = self.block.structure
         own = self.status == Refusal.MATCHED
         points = np.bincount(structure.ray_point[own], minlength=len(structure.point_names)) > 0
@@ -58,7 +58,7 @@ class Refinement(NamedTuple):
 
     @property
     def counts(self) -> dict[Refusal, int]:
-        """How many of the rays tried were measured or refused for each reason."""
+        """Numbers of tried rays that were measured or refused, for each reason."""
         tried = self.status[self.rays]
         return {reason: int((tried == reason).sum()) for reason in Refusal if (tried == reason).any()}
 
@@ -71,19 +71,19 @@ def refine(
     half: int = HALF,
     levels: tuple[int, ...] = (0,),
 ) -> Refinement:
-    """Measures the rays of a block again in its images by least-squares matching.
+    """Remeasures the rays of a block in its images by least-squares matching.
 
     Args:
-        block: with orientations and object points, rays in px.
-        images: pyramids by the names of the images; rays of other images stay.
-        options: of the matching; without `max_shift` a ray may move by 2 px.
+        block: block with orientations and object points, rays in px.
+        images: pyramids by the names of the images; rays of other images are not changed.
+        options: options of the matching; the default of `max_shift` is 2 px.
         half: windows have 2 half + 1 px.
-        levels: of the pyramids, the coarse ones first.
+        levels: levels of the pyramids, the coarse ones first.
 
     Returns: the block with new rays. Their standard deviations are three times those of the matching, at least
         0.02 px.
 
-    Raises: BlockError for rays in mm, and where none of the images is given.
+    Raises: BlockError for rays in mm, and if none of the images is given.
 
     Example:
         >>> images = {name: jb.imagery.pyramid(f"photos/{name}") for name in block.images}  # doctest: +SKIP
@@ -115,14 +115,14 @@ def _require_images(block: Block, images: Mapping[str, GreyLevels]) -> None:
         if camera.image_unit != "px" or not camera.model.photographs
     ]
     if not any(name in images for name in structure.image_names):
-        problems.append(Problem("none of the images of the block is there", "name them as in the block", "images"))
+        problems.append(Problem("none of the images of the block was given", "name them as in the block", "images"))
     for k, name in enumerate(structure.image_names):
         camera = structure.cameras[structure.image_camera[k]]
         if name in images and camera.width and camera.height:
             rows, columns = images[name].sizes[0]
             if (rows, columns) != (camera.height, camera.width):
                 what = f"image {name} has {columns} x {rows} px, camera {camera.name} {camera.width} x {camera.height}"
-                problems.append(Problem(what, "give the images that were measured, as they are stored", "images"))
+                problems.append(Problem(what, "give the measured images, as they are stored", "images"))
     if problems:
         raise BlockError(problems)
 
@@ -143,7 +143,7 @@ def _means(block: Block, directions: Float[np.ndarray, "ray 3"]) -> Float[np.nda
 def _pairs_of(
     block: Block, there: Bool[np.ndarray, " image"]
 ) -> tuple[Int[np.ndarray, " pair"], Int[np.ndarray, " pair"]]:
-    """The ray of the template and the ray that is measured, sorted by the templates' images."""
+    """Pairs of the ray of the template and the measured ray, sorted by the templates' images."""
     structure, directions = block.structure, _directions(block)
     middle = (directions * _means(block, directions)[structure.ray_point]).sum(1)
     usable = there[structure.ray_image] & np.isfinite(middle) & (structure.ray_repeat == 0)
@@ -202,7 +202,7 @@ def _derivatives(
     points: Float[Array, "3 pair"],
     tangents: Float[Array, "2 3 pair"],
 ) -> Float[Array, "pair 2 2"]:
-    """Of image coordinates along two directions at every point, one column each."""
+    """Derivatives of image coordinates along two directions at each point, one column each."""
 
     def image_of(points: Float[Array, "3 pair"]) -> Float[Array, "2 pair"]:
         vector = photo_vector(tuple(rotation), tuple(centre), tuple(points))

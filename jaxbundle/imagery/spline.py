@@ -3,8 +3,8 @@
     g(x) = sum_i c_i B(x - i),      (c_{i-1} + 4 c_i + c_{i+1}) / 6 = g_i,      mirrored at the first and last pixel
 
 (Unser, Aldroubi, Eden 1993). A window is small, so its prefilter is a matrix, made once on the host. The interpolant
-has continuous second derivatives; automatic differentiation gives them exactly. Between pixels it has less than a tenth
-of the bias of bilinear interpolation where windows are matched.
+has continuous second derivatives; automatic differentiation gives them exactly. In matching, its bias between pixels is
+less than a tenth of that of bilinear interpolation.
 
 Image coordinates count from the corner of the window; the centre of its first pixel is (0.5, 0.5).
 """
@@ -16,7 +16,7 @@ import numpy as np
 from jax import lax
 from jaxtyping import Array, Float
 
-MIN_SIZE = 4  # px: taps of the spline
+MIN_SIZE = 4  # px: minimum size for the spline
 
 
 @cache
@@ -38,13 +38,16 @@ def coefficients(window: Float[Array, "row column"]) -> Float[Array, "row column
 
 
 def _weights(t: Array) -> tuple[Array, Array, Array, Array]:
-    """B(t + 1), B(t), B(t - 1), B(t - 2) for t from 0 to 1."""
+    """The weights B(t + 1), B(t), B(t - 1), B(t - 2) for t from 0 to 1."""
     s = 1 - t
     return s * s * s / 6, (4 + t * t * (3 * t - 6)) / 6, (4 + s * s * (3 * s - 6)) / 6, t * t * t / 6
 
 
 def _knots(x: Array, size: int) -> tuple[Array, Array]:
-    """The pixel to the left of each place, and the place from its centre; near the border the polynomial goes on."""
+    """The pixel to the left of each position, and the distance from its centre.
+
+    Near the border the polynomial is continued.
+    """
     index = lax.stop_gradient(jnp.clip(jnp.floor(x - 0.5), 1, size - 3))
     return index.astype(jnp.int32), x - 0.5 - index
 
@@ -60,7 +63,7 @@ def value(spline: Float[Array, "row column"], x: Float[Array, "..."], y: Float[A
 
 
 def bilinear(window: Float[Array, "row column"], x: Float[Array, "..."], y: Float[Array, "..."]) -> Float[Array, "..."]:
-    """Grey values by bilinear interpolation of the pixels, as a control: it biases what is matched with it."""
+    """Grey values by bilinear interpolation of the pixels, only for comparison: it biases matches."""
     rows, columns = window.shape
     j = lax.stop_gradient(jnp.clip(jnp.floor(x - 0.5), 0, columns - 2)).astype(jnp.int32)
     i = lax.stop_gradient(jnp.clip(jnp.floor(y - 0.5), 0, rows - 2)).astype(jnp.int32)

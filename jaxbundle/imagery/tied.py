@@ -1,4 +1,4 @@
-"""Matching of all images of a point at once, tied by the image equation (Gruen, Baltsavias 1988).
+"""Matching all images of a point at once, constrained by the image equation (Gruen, Baltsavias 1988).
 
 The surface around the point is a plane. In the system of the photograph of the template, with its rays (a, b, -1),
 
@@ -7,7 +7,7 @@ The surface around the point is a plane. In the system of the photograph of the 
 
 Three unknowns for all images: the inverse distance w0 of the point along the ray of the template and the slopes w1, w2,
 which are its surface normal. The radiometric parameters of each image are eliminated: its rows are projected onto the
-complement of (1, g_j). The orientations are fixed, so that what comes out is an object point, not rays.
+complement of (1, g_j). The orientations are fixed, so the result is an object point, not rays.
 
 The noise of the template is common to all images; the standard deviations neglect that.
 """
@@ -30,8 +30,8 @@ from jaxbundle.numerics.program_cache import prepare_jax
 
 MAX_ITERATIONS = 20
 SETTLED = 1e-6  # last step relative to the inverse distance; at a base of half the distance, 0.001 px of 3000 px
-MAX_CHANGE = 0.1  # of the inverse distance in one step
-PLANE = 3  # unknowns
+MAX_CHANGE = 0.1  # maximum relative change of the inverse distance in one step
+PLANE = 3  # number of unknowns
 
 
 class OrientedWindow(NamedTuple):
@@ -44,10 +44,10 @@ class OrientedWindow(NamedTuple):
 
     grey: Float[Array, "*image row column"]
     corner: Float[Array, "*image 2"]
-    """x, y of the window's corner in the image, px."""
+    """Coordinates x, y of the window's corner in the image, px."""
     interior: Float[Array, "*image element"]
     rotation: Float[Array, "*image 9"]
-    """object_from_image, rows a, b, c."""
+    """Rotation object_from_image, rows a, b, c."""
     centre: Float[Array, "*image 3"]
 
 
@@ -61,9 +61,9 @@ class TiedMatch(NamedTuple):
 
     object_point: Float[Array, "3"]
     covariance: Float[Array, "3 3"]
-    """Of the object point, which lies on the ray of the template: of rank 1."""
+    """Covariance of the object point, which lies on the ray of the template: rank 1."""
     normal: Float[Array, "3"]
-    """Unit vector across the surface, towards the template's camera, object system."""
+    """Unit normal of the surface, towards the template's camera, object system."""
     positions: Float[Array, "image 2"]
     """Image coordinates of the object point in the searched images."""
     correlation: Float[Array, " image"]
@@ -71,7 +71,7 @@ class TiedMatch(NamedTuple):
     """Standard deviation of the residuals, in grey values."""
     iterations: Int[Array, ""]
     status: Int[Array, ""]
-    """A `Refusal` as number."""
+    """A `Refusal` as a number."""
 
 
 def match_tied(
@@ -81,9 +81,9 @@ def match_tied(
     point: Float[Any, "2"],
     distance: Float[Any, ""],
 ) -> TiedMatch:
-    """The object point and the surface normal behind a point of the template, from all other images at once.
+    """Computes object point and surface normal of a point of the template from all other images at once.
 
-    jit and vmap go through it.
+    It works with jit and vmap.
 
     Args:
         model: camera model of all images.
@@ -92,7 +92,7 @@ def match_tied(
         point: image coordinates of the point in the template's image.
         distance: approximate Z of the point: along the axis of the template's camera, object unit.
 
-    Returns: the object point with its covariance, the normal, and the reason where the match is refused.
+    Returns: the object point with its covariance, the normal, and the reason of a refused match.
 
     Example:
         >>> found = match_tied(model, template, searched, (1040.5, 880.5), 62.0)  # doctest: +SKIP
@@ -165,7 +165,7 @@ def _tied(model: CameraModel, template: OrientedWindow, searched: OrientedWindow
 
 
 def _status(w: Array, size: Array, inside: Bool[Array, " image"], correlation: Array) -> Array:
-    """The first reason that applies."""
+    """The first applicable reason of refusal."""
     status = jnp.where(jnp.min(correlation) >= MIN_CORRELATION, int(Refusal.MATCHED), int(Refusal.LOW_CORRELATION))
     status = jnp.where(jnp.all(inside), status, int(Refusal.OUTSIDE))
     status = jnp.where(size <= SETTLED, status, int(Refusal.NOT_CONVERGED))
@@ -173,7 +173,7 @@ def _status(w: Array, size: Array, inside: Bool[Array, " image"], correlation: A
 
 
 def _plane(model: CameraModel, interior: Array, x: Array, y: Array) -> tuple[Array, Array]:
-    """a and b of photo vectors (a, b, -1)."""
+    """Components a and b of photo vectors (a, b, -1)."""
     dx, dy, dz = direction(model, tuple(interior), (x, y))
     return -dx / dz, -dy / dz
 
@@ -189,7 +189,7 @@ def _turned(rotation: Array, vector: Array) -> Array:
 
 
 def _seen(model: CameraModel, template: OrientedWindow, image: OrientedWindow, points: Array) -> Array:
-    """Positions in the window of an image: of photo vectors of the template's camera (3, pixel)."""
+    """Positions in the window of an image for photo vectors of the template's camera (3, pixel)."""
     points = template.centre[:, None] + _turned(template.rotation, points)
     vector = photo_vector(tuple(image.rotation), tuple(image.centre), tuple(points))
     x, y = projection(model, tuple(image.interior), vector)
@@ -197,7 +197,7 @@ def _seen(model: CameraModel, template: OrientedWindow, image: OrientedWindow, p
 
 
 def _with_gradient(surface: Array, xy: Array) -> tuple[Array, Array, Array]:
-    """Grey values and their exact derivatives."""
+    """Grey values with their exact derivatives."""
     one = jnp.ones_like(xy[0])
     g, gx = jax.jvp(lambda x: spline.value(surface, x, xy[1]), (xy[0],), (one,))
     return g, gx, jax.jvp(lambda y: spline.value(surface, xy[0], y), (xy[1],), (one,))[1]

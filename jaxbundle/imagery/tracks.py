@@ -1,4 +1,4 @@
-"""Tracks: the features of all images that are one point of the terrain."""
+"""Tracks: features of several images that belong to one point of the terrain."""
 
 from collections.abc import Mapping, Sequence
 from typing import NamedTuple
@@ -8,8 +8,8 @@ from jaxtyping import Float, Int
 from scipy.sparse import coo_array
 from scipy.sparse.csgraph import connected_components
 
-NEIGHBOURS = 12  # points that give the affine map around a point: twice what six parameters need
-MIN_COMMON = 6  # common points of two images
+NEIGHBOURS = 12  # points for the affine map around a point: twice the minimum for six parameters
+MIN_COMMON = 6  # minimum common points of two images
 
 
 class Tracks(NamedTuple):
@@ -21,13 +21,13 @@ class Tracks(NamedTuple):
 
 
 def tracks(counts: Sequence[int], pairs: Mapping[tuple[int, int], Int[np.ndarray, "match 2"]]) -> Tracks:
-    """Joins the matches of all pairs of images.
+    """Joins the matches of all pairs of images to tracks.
 
-    A track with two features of one image contradicts itself and is left out.
+    A track with two features of one image is contradictory and is left out.
 
     Args:
         counts: number of features of each image.
-        pairs: for two images the numbers of the features that belong together.
+        pairs: for two images the indices of matching features.
     """
     offset = np.concatenate([[0], np.cumsum(counts)])
     total = int(offset[-1])
@@ -55,9 +55,9 @@ def local_affine(
     Args:
         first: common points in the first image.
         second: the same points in the second image.
-        at: places in the first image.
+        at: positions in the first image.
 
-    Returns: least-squares affine maps of the 12 nearest points, NaN where fewer than 6 are common.
+    Returns: least-squares affine maps of the 12 nearest points, NaN for fewer than 6 common points.
     """
     if len(first) < MIN_COMMON:
         return np.full((len(at), 2, 2), np.nan)

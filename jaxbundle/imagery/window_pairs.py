@@ -1,7 +1,7 @@
 """Pairs of windows over many images: one template for all rays of a point, matched from a predicted position.
 
-A point is measured in every image against the same template, so that its rays mean one point of the terrain. Where the
-scales of two images differ, the finer one is taken from a higher level of its pyramid.
+A point is measured in all images with the same template, so that its rays refer to one point of the terrain. If the
+scales of two images differ, a higher pyramid level of the finer one is used.
 """
 
 from typing import NamedTuple
@@ -13,12 +13,12 @@ from jaxbundle.imagery.match_types import DEFAULT, MatchOptions, Refusal
 from jaxbundle.imagery.matching import match
 from jaxbundle.imagery.windows import GreyImages
 
-HALF = 8  # px: windows of 17 x 17; larger ones are flat no more
-MARGIN = 6  # px around the searched part: the spline's mirrored border is felt by 0.27^6
-MAX_SHIFT = 3.0  # px of the level: beyond the pull-in range of a window of 17 px
-TURNED = 1.2  # reach of a window's corner over its half size: turned and sheared windows, up to 1.7 with the diagonal
-AT_ONCE = 4096  # pairs whose windows are in memory together
-OTHER_LEVEL = 2**0.5  # ratio of scales from which another level is nearer
+HALF = 8  # px: windows of 17 x 17; larger ones are often not flat
+MARGIN = 6  # px around the searched part: the effect of the spline's mirrored border is 0.27^6
+MAX_SHIFT = 3.0  # px of the level: larger shifts exceed the pull-in range of a window of 17 px
+TURNED = 1.2  # ratio of the distance of a window's corner and its half size: rotated and sheared windows, up to 1.7
+AT_ONCE = 4096  # number of pairs with windows in memory
+OTHER_LEVEL = 2**0.5  # ratio of scales above which another level is nearer
 
 
 class PairTable(NamedTuple):
@@ -29,16 +29,16 @@ class PairTable(NamedTuple):
     template: Float[np.ndarray, "pair 2"]
     """The point in the template's image."""
     predicted: Float[np.ndarray, "pair 2"]
-    """Its predicted position in the other image."""
+    """The predicted position in the other image."""
     affine: Float[np.ndarray, "pair 2 2"]
     """Predicted derivatives of coordinates in the image with respect to those in the template's image."""
 
 
 class PairMatches(NamedTuple):
-    """Positions in the other images, px of level 0, and the reasons of those that are refused."""
+    """Positions in the other images, px of level 0, and reasons of refusals."""
 
     position: Float[np.ndarray, "pair 2"]
-    """The predicted position where the match is refused."""
+    """Position in the other image; the predicted one for a refused match."""
     covariance: Float[np.ndarray, "pair 2 2"]
     affine: Float[np.ndarray, "pair 2 2"]
     correlation: Float[np.ndarray, " pair"]
@@ -46,7 +46,7 @@ class PairMatches(NamedTuple):
 
     @property
     def matched(self) -> np.ndarray:
-        """Pairs that are accepted."""
+        """Mask of the accepted pairs."""
         return self.status == Refusal.MATCHED
 
 
@@ -65,13 +65,13 @@ def levels_of(
 def match_pairs(
     images: GreyImages, pairs: PairTable, level: int = 0, options: MatchOptions = DEFAULT, half: int = HALF
 ) -> PairMatches:
-    """Least-squares matches of pairs on one level of the pyramids.
+    """Matches pairs by least squares on one level of the pyramids.
 
     Args:
-        images: the images by their numbers.
-        pairs: what is matched, in any order; pairs of one template's image in a row are the quickest.
-        level: of the coarser image of each pair.
-        options: as for `match`; without `max_shift` 3 px of the level.
+        images: the images by their indices.
+        pairs: the pairs in any order; successive pairs with the same template image are fastest.
+        level: level of the coarser image of each pair.
+        options: as for `match`; the default of `max_shift` is 3 px of the level.
         half: the windows have 2 half + 1 px.
     """
     if options.max_shift is None:

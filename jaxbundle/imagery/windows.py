@@ -6,11 +6,11 @@ from typing import NamedTuple, Protocol
 import numpy as np
 from jaxtyping import Bool, Float, Int
 
-REMEMBERED = 24  # levels of images: neighbours of one strip and of the next
+REMEMBERED = 24  # number of cached levels of images: neighbours of one strip and of the next
 
 
 class GreyLevels(Protocol):
-    """An image that gives the grey values of its levels, as `Pyramid` does."""
+    """Protocol of an image with grey values of its levels, such as `Pyramid`."""
 
     @property
     def sizes(self) -> tuple[tuple[int, int], ...]:
@@ -23,17 +23,17 @@ class GreyLevels(Protocol):
 
 
 class Windows(NamedTuple):
-    """Windows and where they lie."""
+    """Windows and their positions."""
 
     grey: Float[np.ndarray, "window row column"]
     corner: Float[np.ndarray, "window 2"]
-    """x, y of the corner of each window in the image, px of the level."""
+    """Coordinates x, y of the corner of each window in the image, px of the level."""
     inside: Bool[np.ndarray, " window"]
-    """Windows that lie in their image as a whole; the others are 0."""
+    """Mask of windows that are completely inside their image; the others are 0."""
 
 
 class GreyImages:
-    """Images by their numbers; the levels used last are remembered."""
+    """Images by their indices, with a cache of recently used levels."""
 
     def __init__(self, images: Mapping[int, GreyLevels]):
         self._images = images
@@ -47,7 +47,7 @@ class GreyImages:
         return len(self._images[image].sizes)
 
     def level(self, image: int, level: int) -> np.ndarray:
-        """Grey values of a level in single precision, which holds 16 bit."""
+        """Grey values of a level in single precision, which is exact for 16 bit."""
         key = image, level
         if key in self._levels:
             self._levels[key] = self._levels.pop(key)
@@ -64,9 +64,9 @@ class GreyImages:
         centre: Float[np.ndarray, "window 2"],
         half: int,
     ) -> Windows:
-        """Windows of 2 half + 1 pixels whose middle pixels hold the given points, in image coordinates of level 0."""
+        """Cuts windows of 2 half + 1 pixels whose central pixels contain the given points (coordinates of level 0)."""
         size = 2 * half + 1
-        xy = centre * 0.5 ** level[:, None]  # `between_levels`, of a level for each window
+        xy = centre * 0.5 ** level[:, None]  # like `between_levels`, with a level for each window
         corner = np.floor(np.where(np.isfinite(xy), xy, -1e9)) - half
         grey = np.zeros((len(image), size, size), np.float32)
         inside = np.zeros(len(image), bool)

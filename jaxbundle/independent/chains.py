@@ -1,4 +1,4 @@
-"""Which images follow each other: strips of images, found from common points and approximate projection centres."""
+"""Finding strips of successive images from common points and approximate projection centres."""
 
 from typing import NamedTuple
 
@@ -8,14 +8,14 @@ from jaxtyping import Bool, Float, Int
 
 from jaxbundle.block.block import Structure
 
-MIN_COMMON = 6  # points of a model: five determine it, a sixth checks it
-IN_ORDER = 1.3  # images that follow each other in the block are preferred to others with so many more common points
-STRAIGHT = 0.5  # cosine of the angle by which a strip may bend at an image
-MIN_BASE = 0.01  # of the distance to the points: a shorter base has no intersections
+MIN_COMMON = 6  # minimum points of a model: five determine it, a sixth checks it
+IN_ORDER = 1.3  # successive images of the block are preferred to others with up to this factor of common points
+STRAIGHT = 0.5  # cosine of the maximum angle between successive bases of a strip
+MIN_BASE = 0.01  # share of the distance to the points: a shorter base gives no intersections
 
 
 class Candidates(NamedTuple):
-    """Pairs of images with common points, the first image of each pair the smaller number."""
+    """Pairs of images with common points; the first image has the smaller index."""
 
     pair: Int[np.ndarray, "pair 2"]
     common: Int[np.ndarray, " pair"]
@@ -25,7 +25,7 @@ def candidates(structure: Structure) -> Candidates:
     """All pairs of images with enough common points for a model."""
     shape = len(structure.image_names), len(structure.point_names)
     seen = sp.csr_matrix((np.ones(len(structure.ray_image)), (structure.ray_image, structure.ray_point)), shape)
-    seen.data[:] = 1  # a point measured twice in an image counts once
+    seen.data[:] = 1  # a point measured twice on an image counts once
     common = sp.triu(seen @ seen.T, 1).tocoo()
     enough = common.data >= MIN_COMMON
     return Candidates(np.stack([common.row, common.col], 1)[enough], common.data[enough].astype(int))
@@ -34,10 +34,10 @@ def candidates(structure: Structure) -> Candidates:
 def chains(
     structure: Structure, centres: Float[np.ndarray, "image 3"], points: Float[np.ndarray, "point 3"]
 ) -> list[list[int]]:
-    """Images in strips, every image in one; an image without a neighbour is a strip by itself.
+    """Groups all images into strips; an image without a neighbour is a strip of one image.
 
-    Neighbours are the images with the most common points; every image has two neighbours at most, which lie on either
-    side of it. A strip begins with the image that stands first in the block.
+    Neighbours are the images with the most common points; each image has at most two neighbours, one on each side. A
+    strip begins with the end image that is first in the block.
     """
     pairs = candidates(structure)
     i, j = pairs.pair.T
@@ -68,8 +68,10 @@ def _distances(
 
 
 def _along(centres: Float[np.ndarray, "image 3"]) -> Bool[np.ndarray, " image"]:
-    """Whether the base from each image to the next one in the block goes along a strip: it has the direction of the
-    base before or after it, forward or back, and does not lead from one strip to another."""
+    """Whether the base from each image to the next one in the block is along a strip.
+
+    Then it has the direction of the base before or after it, forwards or backwards, and does not connect two strips.
+    """
     base = np.diff(centres, axis=0)
     base = base / np.maximum(np.linalg.norm(base, axis=1, keepdims=True), 1e-300)
     alike = np.abs(np.sum(base[1:] * base[:-1], 1)) >= STRAIGHT
@@ -80,7 +82,7 @@ def _along(centres: Float[np.ndarray, "image 3"]) -> Bool[np.ndarray, " image"]:
 
 
 def _straight(at: int, to: int, neighbours: list[list[int]], centres: Float[np.ndarray, "image 3"]) -> bool:
-    """Whether the strip goes on from its last images to another one without turning back."""
+    """Whether the strip continues from its last images to another one without a reversal."""
     if not neighbours[at]:
         return True
     before, after = centres[at] - centres[neighbours[at][0]], centres[to] - centres[at]

@@ -1,8 +1,8 @@
-"""Whether the control of a strip suffices for its polynomials, before the adjustment and by name.
+"""Checking before the adjustment whether the control of a strip is sufficient for its polynomials.
 
 Polynomials of degree n need n + 1 bands of control across the strip, from its begin to its end, and in each band a
-point near either edge, for the torsion of the strip. Two points that tie an edge to another strip stand for a control
-point there; an observed projection centre in a band stands for one of its edges.
+point near each edge, for the torsion of the strip. Two points that tie an edge to another strip replace a control
+point; an observed projection centre in a band replaces one of its edges.
 """
 
 from typing import NamedTuple
@@ -15,8 +15,8 @@ from jaxbundle.block.findings import Finding, Kind, Subject
 from jaxbundle.block.observation_kinds import CONTROL
 from jaxbundle.block.wording import figure
 
-EDGE = 0.3  # of half of the width: beyond, a point lies near the edge
-TIES = 2  # points that tie an edge to another strip
+EDGE = 0.3  # share of half of the width: farther points are near the edge
+TIES = 2  # number of points that tie an edge to another strip
 BANDS = {
     3: ("at its begin", "in its middle", "at its end"),
     4: ("at its begin", "in its second", "in its third", "at its end"),
@@ -24,20 +24,20 @@ BANDS = {
 
 
 class Supported(NamedTuple):
-    """What supports a strip: points, their places over half of the length and of the width, what they are."""
+    """Points that support a strip: positions relative to half of the length and the width, and their type."""
 
     along: Float[np.ndarray, " point"]
     across: Float[np.ndarray, " point"]
     control: Bool[np.ndarray, " point"]
-    """Control in X, Y and Z."""
+    """Mask of control in X, Y and Z."""
     tie: Bool[np.ndarray, " point"]
-    """Seen by another strip too."""
+    """Mask of points that another strip also sees."""
     stations: Float[np.ndarray, " image"]
-    """Places along the strip of observed projection centres."""
+    """Positions of observed projection centres along the strip."""
 
 
 def full_control(block: Block) -> Bool[np.ndarray, " point"]:
-    """Points whose three coordinates are fixed or observed."""
+    """Mask of points with three fixed or observed coordinates."""
     known = np.array(~block.structure.point_free)
     for group in block.groups:
         if group.structure.kind == CONTROL:
@@ -46,7 +46,7 @@ def full_control(block: Block) -> Bool[np.ndarray, " point"]:
 
 
 def observed_stations(block: Block) -> Bool[np.ndarray, " image"]:
-    """Images whose projection centre is observed or fixed."""
+    """Mask of images with an observed or fixed projection centre."""
     known = np.array((~block.structure.exterior_free[:, :3]).all(1))
     for group in block.groups:
         kind = group.structure.kind
@@ -56,7 +56,7 @@ def observed_stations(block: Block) -> Bool[np.ndarray, " image"]:
 
 
 def missing_control(name: str, s: Supported, bands: int, images: tuple[str, ...] = ()) -> list[Finding]:
-    """The bands and edges of a strip that nothing supports. `images`: those at its ends."""
+    """Findings about unsupported bands and edges of a strip. `images`: the images at its ends."""
     limits = np.linspace(-1, 1, bands + 1)
     limits[0], limits[-1] = -np.inf, np.inf
     found = []
@@ -80,7 +80,10 @@ def missing_control(name: str, s: Supported, bands: int, images: tuple[str, ...]
 
 
 def swinging(name: str, terms: list[str], end: float, unit: str, images: tuple[str, ...] = ()) -> Finding:
-    """Coefficients that nothing but their curb determines. `end`: the expected error; `images`: those at the ends."""
-    what = f"{name}: {', '.join(terms)} are determined by the expected errors of the strip rather than by control"
+    """The finding about coefficients that only their expected sizes determine.
+
+    `end`: the expected error; `images`: at the ends.
+    """
+    what = f"{name}: {', '.join(terms)} are determined by the expected errors of the strip and not by control"
     cure = f"add control inside the strip; there its points may be wrong by {figure(end, 2)} {unit}"
     return Finding(Kind.WEAK, what, cure, tuple(Subject("images", (image,)) for image in images), end, unit)

@@ -1,12 +1,12 @@
 """Models of two photographs each: relative orientation from approximate values, model points and their covariances.
 
-A model has the system of its first photograph: its projection centre is the origin, its axes are the axes. The length
+A model has the system of its first photograph, with the projection centre as origin. The length
 of the base is the approximate one. With independent normal numbers e (of the five elements) and u (of the four image
 coordinates of a point), all of variance 1, a model point has the errors
 
     dx = C e + R u              e = sum E u over the points of the model
 
-C: errors that all points of the model share; R: those of the point alone. The least-squares intersection and the
+C: common errors of all points of the model; R: errors of the single point. The least-squares intersection and the
 y-parallax are independent, and only the parallaxes determine the five elements; so e and R u are independent.
 """
 
@@ -30,47 +30,47 @@ from jaxbundle.orientation.coplanarity import CAUCHY, Pair, Rays
 from jaxbundle.orientation.pair_search import sides
 
 ROBUST_STEPS, FINAL_STEPS = 15, 15
-REJECTED = 4.0  # robust standard deviations of a y-parallax: one normal error in 16 thousand
-NORMAL_MEDIAN = 0.6745  # of the absolute value of a standard normal number
-SMALLEST = 1e-12  # eigenvalue of the normal equations with a unit diagonal, over the largest
+REJECTED = 4.0  # limit in robust standard deviations of a y-parallax: one normal error in 16 thousand exceeds it
+NORMAL_MEDIAN = 0.6745  # median of the absolute value of a standard normal number
+SMALLEST = 1e-12  # relative eigenvalue of the normal equations with a unit diagonal
 
 
 class Models(NamedTuple):
     """Models with padded points, on the host. Lengths in the object unit."""
 
     pair: Int[np.ndarray, "model 2"]
-    """First and second image."""
+    """Indices of the first and the second image."""
     ray: Int[np.ndarray, "model point 2"]
-    """Rays of each point in both images; -1 where the row is empty."""
+    """Rays of each point in both images; -1 in empty rows."""
     point: Int[np.ndarray, "model point"]
-    """Object point; -1 where the row is empty."""
+    """Index of the object point; -1 in empty rows."""
     used: Bool[np.ndarray, "model point"]
-    """Points that fit; the others have large y-parallaxes or lie behind a photograph."""
+    """Mask of fitting points; the others have large y-parallaxes or lie behind a photograph."""
     rotation: Float[np.ndarray, "model 3 3"]
     """Matrix model_from_image of the second photograph."""
     base: Float[np.ndarray, "model 3"]
-    """Second projection centre."""
+    """The second projection centre in the model."""
     coordinates: Float[np.ndarray, "model point 3"]
-    """Model points."""
+    """Coordinates of the model points."""
     shared: Float[np.ndarray, "model point 3 5"]
-    """C of the points."""
+    """The derivatives C of the points."""
     shared_base: Float[np.ndarray, "model 3 5"]
-    """C of the second projection centre."""
+    """The derivatives C of the second projection centre."""
     shared_angles: Float[np.ndarray, "model 3 5"]
-    """Small rotations of the second photograph, about the axes of the model, by e."""
+    """Derivatives of small rotations of the second photograph, about the axes of the model, with respect to e."""
     own: Float[np.ndarray, "model point 3 4"]
-    """R: of both image coordinates in the first and in the second image."""
+    """The derivatives R with respect to both image coordinates in the first and in the second image."""
     elements: Float[np.ndarray, "model point 5 4"]
     """E."""
     parallaxes: Float[np.ndarray, "model point"]
     """y-parallaxes in units of their standard deviations."""
 
-    def __len__(self) -> int:  # of models, not of fields
+    def __len__(self) -> int:  # number of models, not of fields
         return len(self.pair)
 
 
 class _Found(NamedTuple):
-    """Of one model."""
+    """The values of one model."""
 
     used: Any
     rotation: Any
@@ -85,7 +85,7 @@ class _Found(NamedTuple):
 
 
 def form_models(block: Block, pairs: Int[np.ndarray, "model 2"]) -> Models:
-    """Models of pairs of images, from the approximate orientations of the block."""
+    """Forms the models of pairs of images, from the approximate orientations of the block."""
     structure = block.structure
     ray = _common_rays(block, pairs)
     vectors, back = (np.asarray(x) for x in _planes(*_measured(block), optimised=False))
@@ -108,7 +108,7 @@ def form_models(block: Block, pairs: Int[np.ndarray, "model 2"]) -> Models:
 
 
 def _common_rays(block: Block, pairs: Int[np.ndarray, "model 2"]) -> Int[np.ndarray, "model point 2"]:
-    """The rays of the common points of each pair; of a point measured twice in an image the first one."""
+    """The rays of the common points of each pair; the first one for a point that is measured twice on an image."""
     structure = block.structure
     once = np.flatnonzero(structure.ray_repeat == 0)
     by_image = [once[structure.ray_image[once] == i] for i in range(len(structure.image_names))]
@@ -124,7 +124,7 @@ def _common_rays(block: Block, pairs: Int[np.ndarray, "model 2"]) -> Int[np.ndar
 
 
 def _measured(block: Block) -> tuple[CameraModel, Array, Array, Array]:
-    """Camera model, and of every ray its interior elements, coordinates and sigmas, padded."""
+    """Camera model, and for each ray its interior elements, coordinates and sigmas, padded."""
     structure, rays = block.structure, block.rays
     at = np.zeros(grid_size(len(structure.ray_image)), int)
     at[: len(structure.ray_image)] = np.arange(len(structure.ray_image))
@@ -140,7 +140,7 @@ def _measured(block: Block) -> tuple[CameraModel, Array, Array, Array]:
 
 @Compiled
 def _planes(model: CameraModel, interior: Array, measured: Array, sigmas: Array) -> tuple[Array, Array]:
-    """Photo vectors (a, b, -1), and matrices that make errors of (a, b) out of normal numbers of variance 1."""
+    """Photo vectors (a, b, -1), and matrices that convert normal numbers of variance 1 to errors of (a, b)."""
     along = direction(model, tuple(interior), (measured[0], measured[1]))
     plane = jnp.stack([-along[0] / along[2], -along[1] / along[2]], 1)
 
@@ -155,7 +155,7 @@ def _planes(model: CameraModel, interior: Array, measured: Array, sigmas: Array)
 
 @Compiled
 def _formed(rotation: Array, base: Array, length: Array, arrays: tuple[Array, ...]) -> _Found:
-    """One model."""
+    """Forms one model."""
     first, second, back1, back2, valid = arrays
     rays = Rays(first, second, back1 @ back1.swapaxes(1, 2), back2 @ back2.swapaxes(1, 2), valid)
     at, _ = coplanarity.refined(Pair(rotation, base), rays, CAUCHY, ROBUST_STEPS)
@@ -177,7 +177,7 @@ def _formed(rotation: Array, base: Array, length: Array, arrays: tuple[Array, ..
         return length * coplanarity.model_points(coplanarity.changed(at, d), shifted(planes))
 
     def own(function: Callable[[Array], Array]) -> Array:
-        """Derivatives of what belongs to each point by its own four numbers."""
+        """Derivatives of the values of each point with respect to its four numbers."""
         columns = [jnp.zeros_like(planes).at[:, k].set(1.0) for k in range(4)]
         by_plane = jnp.stack([jax.jvp(function, (planes,), (column,))[1] for column in columns], -1)
         return jnp.concatenate([by_plane[..., :2] @ back1, by_plane[..., 2:] @ back2], -1)

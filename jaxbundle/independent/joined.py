@@ -1,11 +1,11 @@
-"""Strips joined from models: attitude and scale are carried on from model to model.
+"""Joining models to strips: attitude and scale are transferred from model to model.
 
-The photograph that two successive models share has one attitude and one projection centre S. The scale of the next
+The common photograph of two successive models has one attitude and one projection centre S. The scale of the next
 model is the weighted mean ratio of distances from S to the common points in both models,
 
     log s' = log s + sum w (log |x_p - b| - log |x'_p|)
 
-and its errors add up along the strip (Kraus 2007, ch. 4.5). Each strip is in the system of its first photograph.
+and its errors accumulate along the strip (Kraus 2007, ch. 4.5). Each strip is in the system of its first photograph.
 """
 
 from typing import NamedTuple
@@ -16,10 +16,10 @@ from jaxtyping import Float, Int
 
 from jaxbundle.independent.formation import Models
 
-MIN_TRANSFER = 3  # common points that carry the scale on
-MAD = 1.4826  # times the median absolute deviation: the standard deviation of normal numbers
-REJECTED = 4.0  # of these standard deviations
-LOOSE = 0.05  # relative scatter of the scale ratios: above, models are not joined
+MIN_TRANSFER = 3  # minimum number of common points for the transfer of the scale
+MAD = 1.4826  # ratio of standard deviation and median absolute deviation of normal numbers
+REJECTED = 4.0  # limit in these standard deviations
+LOOSE = 0.05  # relative scatter of the scale ratios: above this, models are not joined
 
 
 class Strip(NamedTuple):
@@ -35,14 +35,14 @@ class Strip(NamedTuple):
     centres: Float[np.ndarray, "image 3"]
     points: Int[np.ndarray, " point"]
     coordinates: Float[np.ndarray, "point 3"]
-    """Means over the models of the strip."""
+    """Mean coordinates over the models of the strip."""
     covariances: Float[np.ndarray, "point 3 3"]
-    """Of the points within one model: what varies from point to point."""
+    """Errors of the points within one model, which vary from point to point."""
     centre_covariances: Float[np.ndarray, "image 3 3"]
     scatter: float
-    """Relative scatter of the scale ratios, the largest of all joints."""
+    """Relative scatter of the scale ratios, the maximum of all joints."""
     errors: sp.csr_matrix
-    """Of the coordinates of the points, then of the centres; three rows each."""
+    """Errors of the coordinates of the points, then of the centres; three rows each."""
 
 
 class _State(NamedTuple):
@@ -62,9 +62,9 @@ class _State(NamedTuple):
 def joined(
     models: Models, chain: list[int], covariances: dict[int, Float[np.ndarray, "point 3 3"]], rays: int
 ) -> tuple[Strip, ...]:
-    """The strips of a chain of models, each the continuation of the one before; one strip unless a joint is loose.
+    """The strips of a chain of models, each the continuation of the one before; one strip unless a joint is weak.
 
-    `covariances`: of the used points of each model and of both of its centres, within the model; `rays`: number of
+    `covariances`: of the used points of each model and of both its centres, within the model; `rays`: number of
     rays of the photographs.
     """
     strips, part, state = [], [], _first(rays)
@@ -110,7 +110,7 @@ def element_errors(models: Models, m: int, rays: int) -> sp.csr_matrix:
 
 
 def _carried(models: Models, k: int, after: int, state: _State, rays: int) -> tuple[_State, float] | None:
-    """Scale, attitude and centre of the next model; None where too few points carry the scale on."""
+    """Scale, attitude and centre of the next model; None if there are too few points for the scale."""
     before, behind = np.flatnonzero(models.used[k]), np.flatnonzero(models.used[after])
     _, a, b = np.intersect1d(models.point[k, before], models.point[after, behind], return_indices=True)
     if len(a) < MIN_TRANSFER:
@@ -143,12 +143,12 @@ def _carried(models: Models, k: int, after: int, state: _State, rays: int) -> tu
 
 
 def _rows(vectors: Float[np.ndarray, "point 3"]) -> sp.csr_matrix:
-    """One row: the vectors one after the other."""
+    """One row with all vectors one after the other."""
     return sp.csr_matrix(vectors.reshape(1, -1))
 
 
 def _moved(vectors: Float[np.ndarray, "point 3"], state: _State) -> sp.csr_matrix:
-    """Errors of vectors by those of scale and attitude: d log s v + turn x v, three rows each."""
+    """Errors of vectors due to errors of scale and attitude: d log s v + turn x v, three rows each."""
     x, y, z = vectors.T
     zero = np.zeros_like(x)
     cross = np.stack([zero, z, -y, -z, zero, x, y, -x, zero], 1).reshape(-1, 3)  # turn x v = -[v]x turn
@@ -162,9 +162,9 @@ def _strip(
     covariances: dict[int, Float[np.ndarray, "point 3 3"]],
     scatter: float,
 ) -> Strip:
-    """Points of all models of a strip in one system; of a point in several models the mean."""
+    """Points of all models of a strip in one system; the mean for a point in several models."""
     shape = states[0].turn.shape
-    assert shape is not None  # the type of a sparse matrix allows it
+    assert shape is not None  # the type of a sparse matrix permits it
     rays = int(shape[1]) // 2
     images = np.array([models.pair[part[0], 0], *models.pair[part, 1]])
     last = states[-1]

@@ -1,10 +1,10 @@
 """The method of independent models: all models of two photographs each in one adjustment with seven unknowns each.
 
-    v = L^-1 (t R^T (X - X0) - x)          of model points and of both projection centres, which tie models together
+    v = L^-1 (t R^T (X - X0) - x)          of model points and of both projection centres, which connect models
 
-Control, stations, navigation data and everything else observed of the block take part as in the bundle (Ackermann,
-Ebner, Klein 1973). Less rigorous than the bundle: a ray of an image that two models share is used in both as if it were
-measured twice, and the interior orientation is fixed.
+Control, stations, navigation data and all other observations of the block are used as in the bundle (Ackermann,
+Ebner, Klein 1973). The method is less rigorous than the bundle: a ray of a common image of two models is used in both
+like two measurements, and the interior orientation is fixed.
 """
 
 from collections.abc import Callable, Sequence
@@ -35,7 +35,7 @@ Pairs = Sequence[tuple[str, str]]
 
 
 class ModelAdjustment(NamedTuple):
-    """Result of `adjust_models`.
+    """The result of the function `adjust_models`.
 
     Example:
         >>> found = jb.independent.adjust_models(block)
@@ -44,18 +44,18 @@ class ModelAdjustment(NamedTuple):
     """
 
     adjustment: Adjustment
-    """Of the models: its images are the models, named "first-second", its points the object points and, behind them,
-    the projection centres. Standard deviations, redundancy numbers and tests are those of any adjustment."""
+    """The adjustment of the models: its images are the models, with names "first-second", its points are the object
+    points, then the projection centres. Standard deviations, redundancy numbers and tests are as in any adjustment."""
     block: Block
-    """The photographs, with the orientations and points of the models: the start of the bundle."""
+    """The photographs with the orientations and points of the models, as a start of the bundle."""
     oriented: Oriented
-    """The exterior orientations and their standard deviations, image by image; angles in radians."""
+    """The exterior orientations and their standard deviations for each image; angles in radians."""
     points: Int[np.ndarray, " point"]
-    """Numbers of the object points of the models in the block of photographs."""
+    """Indices of the object points of the models in the block of photographs."""
     models: Models
-    """The models as they were formed."""
+    """The models before the adjustment."""
     findings: tuple[Finding, ...]
-    """What takes no part, and which points were left out of models."""
+    """Findings about unused data, and about points that were left out of models."""
 
     @property
     def residuals(self) -> Float[np.ndarray, "ray 3"]:
@@ -69,7 +69,7 @@ class ModelAdjustment(NamedTuple):
         return np.asarray(self.adjustment.block.object_points)[: len(self.points)]
 
     def propagated(self) -> Propagated | None:
-        """Standard deviations by the errors of the image coordinates, which models share; None for a large block."""
+        """Standard deviations from the errors of the image coordinates, which models share; None for a large block."""
         estimated = len(self.adjustment.block.structure.model.elements) > 1
         rays = len(self.block.structure.ray_image)
         errors = model_errors(self.models, self.adjustment.block, rays, estimated)
@@ -89,13 +89,14 @@ def adjust_models(
 
     Args:
         block: photographs with approximate orientations; its interior elements are fixed.
-        options: as of `adjust`, and its keywords.
-        pairs: names of the two images of each model; if None, images that follow each other in a strip.
-        estimate_shared_errors: whether the errors that all points of a model share, those of its relative orientation,
-            are five further unknowns of the model. If not, they are in the covariances of its points one by one.
-        progress: called after every iteration.
+        options: as for `adjust`, also as keywords.
+        pairs: names of the two images of each model; if None, successive images of strips.
+        estimate_shared_errors: whether the common errors of all points of a model, those of its relative orientation,
+            are five additional unknowns of the model. If not, they are included in the covariances of its single
+            points.
+        progress: a function that is called after each iteration.
 
-    Returns: the adjustment of the models, and the photographs with its orientations.
+    Returns: the adjustment of the models, and the photographs with the adjusted orientations.
 
     Raises: BlockError for a block whose models cannot be formed or adjusted; ValueError without float64.
 
@@ -127,9 +128,9 @@ def adjust_models(
 
 
 def formed(block: Block, pairs: Pairs | None) -> tuple[Models, list[Finding]]:
-    """Models of these pairs of images, those with too few fitting points left out, and what is to be told.
+    """Models of these pairs of images, without those with too few fitting points, and findings.
 
-    Raises: BlockError where no model can be formed.
+    Raises: BlockError if no model can be formed.
     """
     structure = block.structure
     wanted = _pairs(block, pairs)
@@ -142,7 +143,7 @@ def formed(block: Block, pairs: Pairs | None) -> tuple[Models, list[Finding]]:
     names, told = structure.image_names, []
     if not good.all():
         bad = [f"{names[i]}-{names[j]}" for i, j in models.pair[~good]]
-        cure = f"measure more common points; a model needs {MIN_COMMON} whose rays meet"
+        cure = f"measure more common points; a model needs {MIN_COMMON} points whose rays intersect"
         subjects = tuple(Subject("images", (name,)) for name in bad)
         told.append(Finding(Kind.UNUSED, f"{counted(len(bad), 'model')} not formed: {named(bad)}", cure, subjects))
     models = Models(*(part[good] for part in models))
@@ -159,7 +160,7 @@ def _pairs(block: Block, pairs: Pairs | None) -> Int[np.ndarray, "model 2"]:
     number = {name: k for k, name in enumerate(structure.image_names)}
     unknown = list(dict.fromkeys(name for pair in pairs for name in pair if name not in number))
     same = [first for first, second in pairs if first == second]
-    problems = [Problem(f"a model names image {name}, which the block does not have", "drop it") for name in unknown]
+    problems = [Problem(f"a model names image {name}, which is not in the block", "drop it") for name in unknown]
     problems += [Problem(f"a model has image {name} twice", "name two different images") for name in same]
     if problems:
         raise BlockError(problems)
@@ -167,7 +168,7 @@ def _pairs(block: Block, pairs: Pairs | None) -> Int[np.ndarray, "model 2"]:
 
 
 def _left_out(block: Block, models: Models) -> list[Finding]:
-    """Images in no model, points in no model, and points whose rays do not meet."""
+    """Findings about images in no model, points in no model, and points whose rays do not intersect."""
     s, told = block.structure, []
     images = [name for i, name in enumerate(s.image_names) if i not in set(models.pair.ravel().tolist())]
     if images:
@@ -177,7 +178,7 @@ def _left_out(block: Block, models: Models) -> list[Finding]:
     bad = models.ray[(models.ray[:, :, 0] >= 0) & ~models.used]
     rays = [(s.image_names[s.ray_image[r]], s.point_names[s.ray_point[r]]) for pair in bad for r in pair]
     if len(bad):
-        what = f"{counted(len(bad), 'point')} left out of models, since their rays do not meet: "
+        what = f"{counted(len(bad), 'point')} left out of models, because their rays do not intersect: "
         what += named([s.point_names[s.ray_point[a]] for a, _ in bad])
         subjects = tuple(Subject("rays", ray) for ray in rays)
         told.append(Finding(Kind.SUSPECT, what, "re-measure or remove one of the two rays", subjects))
@@ -186,13 +187,13 @@ def _left_out(block: Block, models: Models) -> list[Finding]:
     missing = [s.point_names[p] for p in np.flatnonzero(~seen & (np.bincount(s.ray_point, minlength=len(seen)) > 0))]
     if missing:
         what = f"{counted(len(missing), 'point')} in no model: {named(missing)}"
-        cure = "they are intersected afterwards; the bundle method uses their rays"
+        cure = "they are intersected after the adjustment; the bundle method uses their rays"
         told.append(Finding(Kind.UNUSED, what, cure, tuple(Subject("points", (name,)) for name in missing)))
     return told
 
 
 def fixed_interior(block: Block) -> list[Finding]:
-    """Interior elements that the user wants to estimate."""
+    """The finding about interior elements that the user wants to estimate."""
     s = block.structure
     rows = np.argwhere(s.interior_free)
     if not len(rows):
@@ -204,7 +205,7 @@ def fixed_interior(block: Block) -> list[Finding]:
 
 
 def _oriented(block: Block, of_models: SensorBlock, models: Models, adjustment: Adjustment) -> Oriented:
-    """Centres from the tie points that they are, attitudes from one model each."""
+    """Orientations of the photographs: centres are tie points, attitudes come from one model each."""
     sensors, count = of_models.sensors, len(block.structure.image_names)
     exterior, sd = np.full((count, 6), np.nan), np.full((count, 6), np.nan)
     images, points = of_models.images, len(of_models.points)
@@ -240,7 +241,7 @@ def _oriented(block: Block, of_models: SensorBlock, models: Models, adjustment: 
 def _turned(
     turns: Float[np.ndarray, "image 3 5"], errors: Float[np.ndarray, "image 5"]
 ) -> Float[np.ndarray, "image 3 3"]:
-    """Rotation matrices of the small rotations that the estimated errors are."""
+    """Rotation matrices of the small rotations from the estimated errors."""
     x, y, z = np.einsum("mke,me->km", turns, errors)
     zero = np.zeros_like(x)
     skew = np.stack([zero, -z, y, z, zero, -x, -y, x, zero], 1).reshape(-1, 3, 3)

@@ -1,4 +1,4 @@
-"""A block of photographs as a block of independent models, which the engine of the bundle adjusts."""
+"""Converting a block of photographs to a block of independent models, which the engine of the bundle adjusts."""
 
 import numpy as np
 from jaxtyping import Float
@@ -9,14 +9,14 @@ from jaxbundle.independent.formation import Models
 from jaxbundle.independent.sensor_block import Seen, SensorBlock, Sensors, sensor_block
 from jaxbundle.independent.sensors import MODEL, MODEL_WITH_ERRORS, SHARED, factor_numbers
 
-SMALL = 1e-2  # standard deviation of a centre that has no errors of its own, over that of the model's points
+SMALL = 1e-2  # ratio of the standard deviations of a centre without errors and of the model's points
 
 
 def seen_points(block: Block, models: Models, whole: bool) -> Seen:
-    """What every model sees. `whole`: covariances of the points have the shared errors in them.
+    """Points of all models. `whole`: whether covariances of the points include the shared errors.
 
-    Then they are those of the model with respect to all of its points: every similarity transformation, as the seven
-    unknowns of a model are one, is taken out of the errors (inner constraints, S-transformation of Baarda 1973).
+    Then they refer to all points of the model: similarity transformations, which the seven unknowns of a model absorb,
+    are removed from the errors (inner constraints, S-transformation of Baarda 1973).
     """
     count, parts = len(block.structure.point_names), []
     for m in range(len(models)):
@@ -60,10 +60,10 @@ def _inner(
 
 
 def model_block(block: Block, models: Models, estimate_shared: bool) -> SensorBlock:
-    """The block of these models; every value of the photographs is its start.
+    """The block of these models, with approximate values from the photographs.
 
-    `estimate_shared`: the errors that all points of a model share are unknowns; else they are in the covariances of the
-    points one by one.
+    `estimate_shared`: whether the common errors of all points of a model are unknowns; otherwise they are in the
+    covariances of the single points.
     """
     s, seen = block.structure, seen_points(block, models, not estimate_shared)
     names = tuple(f"{s.image_names[i]}-{s.image_names[j]}" for i, j in models.pair)
@@ -76,7 +76,7 @@ def model_block(block: Block, models: Models, estimate_shared: bool) -> SensorBl
     sensor[models.pair[:, 1]], within[models.pair[:, 1]] = order, models.rotation
     sensor[first], within[first] = order, np.eye(3)
     free = np.ones((len(models), 6), bool)
-    free[:, 3:] = s.exterior_free[first, 3:]  # angles that are held of a first image are those of the model
+    free[:, 3:] = s.exterior_free[first, 3:]  # fixed angles of a first image are those of the model
     model = MODEL_WITH_ERRORS if estimate_shared else MODEL
     interior = np.zeros((len(models), len(model.elements)))
     interior[:, 0] = 1.0

@@ -1,4 +1,4 @@
-"""Orientations of the photographs from the sensors they belong to, and the block they start another adjustment with."""
+"""Orientations of the photographs from their sensors (models or strips), and the block for another adjustment."""
 
 from typing import Any, NamedTuple
 
@@ -17,15 +17,15 @@ from jaxbundle.orientation.intersection import intersect
 
 
 class Within(NamedTuple):
-    """Images in their sensors: angles of the sensor, rotation of the image within it, and what is known of both."""
+    """Images in their sensors: angles of the sensor, rotation of the image within it, and covariances of both."""
 
     angles: Float[Any, "image 3"]
     covariances: Float[Any, "image 3 3"]
-    """Of the angles of the sensor."""
+    """Covariances of the angles of the sensor."""
     rotation: Float[Any, "image 3 3"]
     """Matrix sensor_from_image."""
     rotation_covariances: Float[Any, "image 3 3"]
-    """Of small rotations about the axes of the sensor."""
+    """Covariances of small rotations about the axes of the sensor."""
 
 
 class Oriented(NamedTuple):
@@ -36,13 +36,13 @@ class Oriented(NamedTuple):
 
     @property
     def known(self) -> Bool[np.ndarray, " image"]:
-        """Which images have an orientation."""
+        """Mask of the images that have an orientation."""
         return np.asarray(np.isfinite(self.exterior).all(1))
 
 
 @Compiled
 def _angles(system: RotationSystem, within: Within, reference: Array) -> tuple[Array, Array]:
-    """Angles of the images, nearest to the reference, and their covariances."""
+    """Angles of the images that are nearest to the reference, and their covariances."""
 
     def one(angles: Array, rotation: Array, near: Array, changes: Array) -> Array:
         sensor = jnp.stack(system.rotation_from_angles(*(angles + changes[:3]))).reshape(3, 3)
@@ -66,9 +66,10 @@ def oriented_angles(block: Block, within: Within) -> tuple[Float[np.ndarray, "im
 def with_orientations(
     block: Block, oriented: Oriented, points: Float[np.ndarray, "point 3"], parameters: Float[Array, " parameter"]
 ) -> Block:
-    """The photographs with these orientations, as the start of another adjustment.
+    """The photographs with these orientations as approximate values of another adjustment.
 
-    `points`: NaN where no sensor sees a point; it is intersected then. What is held of the photographs stays.
+    `points`: NaN for points without a sensor, which are then intersected. Fixed values of the photographs are not
+        changed.
     """
     s, known = block.structure, oriented.known[:, None]
     exterior = np.hstack([block.exterior.projection_centre, block.exterior.angles])

@@ -1,10 +1,10 @@
-"""The iteration of plan and height: independent models levelled and placed by turns (Ackermann, Ebner, Klein 1973).
+"""Iteration of plan and height: models are levelled and positioned alternately (Ackermann, Ebner, Klein 1973).
 
     plan      scale, kappa, X0, Y0 of each model        v_x, v_y of ground points and projection centres
     height    omega, phi, Z0 of each model              v_z of ground points, v_x, v_y, v_z of projection centres
 
 Each half is nearly linear and has small normal equations. Rotations of the height half are about the centroid of the
-ground points; projection centres take part in it with all coordinates, since they stabilise phi. The limit is not the
+ground points; it uses projection centres with all coordinates, since they stabilise phi. The limit is not the
 minimum of the simultaneous adjustment: single points differ by up to one standard deviation.
 """
 
@@ -34,9 +34,9 @@ from jaxbundle.orientation.intersection import intersect
 from jaxbundle.solve.adjust import adjust
 from jaxbundle.solve.adjustment import Adjustment
 
-SETTLED = 1e-8  # change of a scale and of an angle in radians
+SETTLED = 1e-8  # maximum change of a scale and of an angle in radians at convergence
 MAX_ROUNDS = 30
-MAX_TILT = 0.35  # rad: of models beyond the halves are not nearly linear
+MAX_TILT = 0.35  # rad: for larger tilts the halves are not nearly linear
 
 
 def _weighted(interior: tuple[Scalar, ...], p: Vector, measured: tuple[Scalar, ...]) -> tuple[Scalar, ...]:
@@ -49,7 +49,7 @@ LEVELLED = CameraModel("levelled model", ("scale",), _weighted, components=3, nu
 
 
 class PlanHeight(NamedTuple):
-    """Result of `plan_height`.
+    """The result of the function `plan_height`.
 
     Example:
         >>> found = jb.independent.plan_height(block)
@@ -58,28 +58,28 @@ class PlanHeight(NamedTuple):
     """
 
     points: Int[np.ndarray, " point"]
-    """Numbers of the object points in the block of photographs."""
+    """Indices of the object points in the block of photographs."""
     object_points: Float[np.ndarray, "point 3"]
-    """Their coordinates: means of the levelled models and of what is observed of them."""
+    """Coordinates: means of the levelled models and of observed values."""
     projection_centres: Float[np.ndarray, "image 3"]
-    """NaN for images in no model."""
+    """Projection centres; NaN for images in no model."""
     scales: Float[np.ndarray, " model"]
-    """Length in the object over length in the model."""
+    """Ratio of lengths in object and model."""
     rotations: Float[np.ndarray, "model 3 3"]
-    """Matrices object_from_model."""
+    """The rotation matrices object_from_model."""
     changes: Float[np.ndarray, " round"]
-    """Largest change of a scale or of an angle in each round."""
+    """Maximum change of a scale or of an angle in each round."""
     models: Models
     findings: tuple[Finding, ...]
 
     @property
     def converged(self) -> bool:
-        """Whether the last round changed nothing any more."""
+        """Whether the iteration has converged."""
         return bool(self.changes[-1] < SETTLED)
 
 
 class _State(NamedTuple):
-    """Models in the object system, as far as the iteration has come."""
+    """Models in the object system during the iteration."""
 
     coordinates: Float[np.ndarray, "ray 3"]
     rotations: Float[np.ndarray, "model 3 3"]
@@ -94,8 +94,8 @@ def plan_height(block: Block, *, pairs: Pairs | None = None) -> PlanHeight:
         block: near-vertical photographs with approximate orientations and control.
         pairs: names of the two images of each model; if None, images that follow each other in a strip.
 
-    Returns: the coordinates at the limit of the iteration, without standard deviations: these are those of
-    `adjust_models` as far as both agree.
+    Returns: the coordinates at the limit of the iteration, without standard deviations; those of `adjust_models`
+    are valid if both agree.
 
     Raises: BlockError for a block whose models cannot be formed, or are tilted by more than 20 degrees.
 
@@ -180,7 +180,7 @@ def _block(state: _State, models: Models, seen: Seen, half: str) -> SensorBlock:
 
 
 def _with_half(of_models: SensorBlock, half: str) -> Block:
-    """What the other half determines is held: heights; plan coordinates of ground points, and scales."""
+    """Fixes the results of the other half: heights; or plan coordinates of ground points, and scales."""
     s, count = of_models.block.structure, len(of_models.points)
     points = s.point_free.copy()
     if half == "plan":
@@ -193,7 +193,7 @@ def _with_half(of_models: SensorBlock, half: str) -> Block:
 
 
 def _moved(state: _State, seen: Seen, of_models: SensorBlock, adjusted: Adjustment) -> tuple[_State, float]:
-    """The models after one half, and the largest change of a scale or an angle."""
+    """The models after one half, and the maximum change of a scale or an angle."""
     block, before = adjusted.block, of_models.block
     rotations = np.asarray(unknowns_of(block).rotation).T.reshape(-1, 3, 3)
     scales, centres = 1 / np.asarray(block.interior.elements)[:, 0], np.asarray(block.exterior.projection_centre)
@@ -206,7 +206,7 @@ def _moved(state: _State, seen: Seen, of_models: SensorBlock, adjusted: Adjustme
 
 
 def _with_places(block: Block, of_models: SensorBlock, adjusted: Adjustment) -> Block:
-    """The photographs with the points and projection centres of a half, the start of the next one."""
+    """The photographs with the points and projection centres of a half, as start of the next one."""
     places, count = np.asarray(adjusted.block.object_points), len(of_models.points)
     points, centres = np.array(block.object_points), np.array(block.exterior.projection_centre)
     points[of_models.points], centres[of_models.images] = places[:count], places[count:]

@@ -2,9 +2,9 @@
 
     v = L^-1 (p - x - T(x, y) C)       p, x: object point and strip coordinates in the system of the strip
 
-The strip runs along x. Its coordinates are divided by half of its length (x) and of its width (y), else the normal
-equations of degree 3 have no digits left; conformal polynomials are divided by half of the length in all axes. The
-coefficients C are then lengths: how much a term adds at the end or at the edge of the strip.
+The strip runs along x. Its coordinates are divided by half of its length (x) and of its width (y), otherwise the
+normal equations of degree 3 lose all digits; conformal polynomials are divided by half of the length in all axes. The
+coefficients C are then lengths: the contribution of a term at the end or edge of the strip.
 
     degree 2              1, x, y, x^2, xy per coordinate            15 coefficients
     degree 3              and x^3, x^2 y                             21
@@ -24,7 +24,7 @@ from jaxbundle.independent.sensors import whitened
 Form = Literal["separate", "plan-conformal", "conformal"]
 TERMS = ("1", "x", "y", "xx", "xy", "xxx", "xxy")
 COUNT = {2: 5, 3: 7}
-NUMBERS = 13  # x, y, z, six of L^-1, x and y and z over half of the length, y over half of the width
+NUMBERS = 13  # x, y, z, six of L^-1, x, y and z relative to half of the length, y relative to half of the width
 
 
 def elements(form: Form, degree: int) -> tuple[str, ...]:
@@ -38,7 +38,7 @@ def elements(form: Form, degree: int) -> tuple[str, ...]:
 
 
 def curbed(form: Form, degree: int) -> dict[str, tuple[str, int]]:
-    """Coefficients that let a strip swing: their coordinate and degree."""
+    """Coordinate and degree of the coefficients that allow oscillations of a strip."""
     if form == "separate":
         return {f"{c} {t}": (c, len(t)) for c in "XYZ" for t in TERMS[: COUNT[degree]] if len(t) > 1}
     if form == "plan-conformal":
@@ -48,7 +48,7 @@ def curbed(form: Form, degree: int) -> dict[str, tuple[str, int]]:
 
 
 def correction(form: Form, degree: int, c: tuple[Scalar, ...], at: tuple[Scalar, ...]) -> tuple[Scalar, Scalar, Scalar]:
-    """T C at normalised coordinates: x, y, z over half of the length, y over half of the width."""
+    """Computes T C at normalised coordinates: x, y, z relative to half of the length, y to half of the width."""
     x, y, z, across = at
     terms = (1.0, x, across, x * x, x * across, x * x * x, x * x * across)[: COUNT[degree]]
     n = len(terms)
@@ -75,7 +75,7 @@ def correction(form: Form, degree: int, c: tuple[Scalar, ...], at: tuple[Scalar,
 
 @dataclass(frozen=True)
 class _Residual:
-    """The residual of a strip: a class, so that compiled programs are found again by its fields."""
+    """The residual of a strip, as a class so that compiled programs are identified by its fields."""
 
     form: Form
     degree: int

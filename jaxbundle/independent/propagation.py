@@ -1,13 +1,12 @@
-"""Standard deviations by propagation from the image coordinates: what the weights of the method leave out.
+"""Standard deviations by propagation from the image coordinates, including errors that the weights neglect.
 
-A ray of an image that two models share has one error in both, and all points of a model share the errors of its
-relative orientation. The weights know nothing of that, so N^-1 is too good. With the errors of all observations, in
-units of their weights, as functions dv = M u of independent errors u of the image coordinates and of what else is
-observed,
+A ray in the common image of two models has the same error in both, and all points of a model share the errors of
+its relative orientation. The weights neglect that, so N^-1 is too small. With the errors of all observations, in units
+of their weights, as functions dv = M u of independent errors u of the image coordinates and of other observations,
 
     x - x_true = -N^-1 A^T dv,    Q = N^-1 A^T M M^T A N^-1,    sigma0^2 = v^T P v / tr((I - A N^-1 A^T) M M^T)
 
-(law of propagation of variances; sigma0 by the expectation of v^T P v). It takes the whole design matrix.
+(law of propagation of variances; sigma0 by the expectation of v^T P v). It needs the full design matrix.
 """
 
 from typing import NamedTuple
@@ -26,20 +25,20 @@ from jaxbundle.statistics.dense import UnknownTables, dense_system
 
 
 class Propagated(NamedTuple):
-    """Precision by propagation, a posteriori."""
+    """A-posteriori precision by propagation."""
 
     sigma0: float
-    """Of the image coordinates: the standard deviation of unit weight without the bias of the method's weights."""
+    """Standard deviation of unit weight of the image coordinates, without the bias of the method's weights."""
     standard_deviations: UnknownTables
-    """Of the unknowns; angles of the sensors in radians. NaN for what is held."""
+    """Standard deviations of the unknowns; angles of the sensors in radians; NaN for fixed ones."""
     ratio: float
-    """Root mean square of the standard deviations of object coordinates over those from N^-1."""
+    """Root mean square ratio of the standard deviations of object coordinates to those from N^-1."""
 
 
 def propagated(adjustment: Adjustment, errors: sp.csr_matrix) -> Propagated | None:
     """The precision of an adjustment whose observations have the errors M, one row per residual: see `all_errors`.
 
-    None for a block with more unknowns than a dense design matrix takes, or without standard deviations.
+    None for a block with too many unknowns for a dense design matrix, or without standard deviations.
     """
     structure = adjustment.block.structure
     if structure.n_unknowns > MAX_UNKNOWNS or adjustment.cofactors is None or adjustment.undetermined:
@@ -63,7 +62,7 @@ def propagated(adjustment: Adjustment, errors: sp.csr_matrix) -> Propagated | No
 
 
 def all_errors(block: Block, of_rays: sp.csr_matrix, of_priors: sp.csr_matrix | None = None) -> sp.csr_matrix:
-    """M of all observations: of the rays as given, of groups independent, but of the last one as given if it is."""
+    """The matrix M of all observations: given for the rays, and for the last group if given; others independent."""
     masks = [group.structure.observed.ravel() for group in block.groups]
     independent = np.concatenate([np.zeros(0, bool), *(masks if of_priors is None else masks[:-1])])
     others = sp.identity(len(independent), format="csr").multiply(independent[:, None])
@@ -75,7 +74,7 @@ def all_errors(block: Block, of_rays: sp.csr_matrix, of_priors: sp.csr_matrix | 
 
 
 def model_errors(models: Models, block: Block, rays: int, estimate_shared: bool) -> sp.csr_matrix:
-    """M of the block of models, by the errors of `rays` rays of photographs."""
+    """The matrix M of the block of models, with respect to the errors of `rays` rays of photographs."""
     factor = lower_triangles(np.asarray(block.rays.coordinates)[:, 3:9])
     parts, priors, at = [], [], 0
     for m in range(len(models)):

@@ -1,4 +1,4 @@
-"""A block of photographs as a block of sensors that see points in three coordinates, models or strips."""
+"""Converting a block of photographs to a block of sensors (models or strips) that measure three coordinates."""
 
 from typing import NamedTuple
 
@@ -21,24 +21,24 @@ from jaxbundle.camera.model import CameraModel
 from jaxbundle.independent.translated import Stand, translated
 from jaxbundle.numerics.host import on_device
 
-CENTRE = "centre of "  # before the name of an image: the object point that is its projection centre
+CENTRE = "centre of "  # prefix of the name of an image for the object point at its projection centre
 
 
 class Seen(NamedTuple):
-    """Points that sensors see: object points and projection centres."""
+    """Points measured by sensors: object points and projection centres."""
 
     sensor: Int[np.ndarray, " ray"]
     point: Int[np.ndarray, " ray"]
-    """Of the photographs, or number of points + image for a projection centre."""
+    """Index of the point in the photographs, or number of points + image index for a projection centre."""
     coordinates: Float[np.ndarray, "ray 3"]
     covariances: Float[np.ndarray, "ray 3 3"]
-    """Of single points."""
+    """Covariances of single points."""
     shared: Float[np.ndarray, "ray 3 5"]
-    """Derivatives by errors that all points of a sensor share."""
+    """Derivatives with respect to common errors of all points of a sensor."""
 
 
 class Sensors(NamedTuple):
-    """Models or strips: their names, how they see, and where they start."""
+    """Models or strips: names, sensor model, and approximate orientations."""
 
     names: tuple[str, ...]
     model: CameraModel
@@ -47,20 +47,20 @@ class Sensors(NamedTuple):
     exterior_free: Bool[np.ndarray, "sensor 6"]
     interior: Float[np.ndarray, "sensor element"]
     of_image: Int[np.ndarray, " image"]
-    """The sensor that gives an image its attitude; -1 where there is none."""
+    """The sensor for the attitude of each image; -1 without one."""
     rotation: Float[np.ndarray, "image 3 3"]
     """Matrix sensor_from_image."""
 
 
 class SensorBlock(NamedTuple):
-    """The block of sensors, and how it belongs to that of the photographs."""
+    """The block of sensors, and its relation to the block of photographs."""
 
     block: Block
     sensors: Sensors
     points: Int[np.ndarray, " new"]
-    """Of the photographs; the projection centres follow."""
+    """Indices of the points in the photographs; the projection centres follow."""
     images: Int[np.ndarray, " centre"]
-    """Images whose projection centres follow, in this order."""
+    """Images of the projection centres, in this order."""
     findings: tuple[Finding, ...]
 
 
@@ -71,9 +71,9 @@ def sensor_block(
     sensors: Sensors,
     more: tuple[ObservationGroup, ...],
 ) -> SensorBlock:
-    """The block of these sensors; points, control and other observations are those of the photographs.
+    """Makes the block of these sensors; points, control and other observations are those of the photographs.
 
-    `numbers`: what each ray of a sensor measures; its residuals have the standard deviation 1. `more`: further groups.
+    `numbers`: measurements of each ray of a sensor; its residuals have standard deviation 1. `more`: further groups.
     """
     s, count = block.structure, len(block.structure.point_names)
     taking_part = np.unique(seen.point)
@@ -120,7 +120,7 @@ def sensor_block(
 
 
 def _centre_names(block: Block, images: Int[np.ndarray, " centre"]) -> list[str]:
-    """Names of the projection centres as points, which no other point has."""
+    """Unique names of the projection centres as points."""
     s = block.structure
     taken, names = set(s.point_names), []
     for i in images:

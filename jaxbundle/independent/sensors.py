@@ -1,11 +1,11 @@
-"""Independent models and strips as sensors that see points in three coordinates.
+"""Independent models and strips as sensors that measure points in three coordinates.
 
-A model has an exterior orientation, its scale t as an interior element, and measured coordinates x with the factor
-L^-1 of their covariance L L^T behind them:
+A model has an exterior orientation, its scale t as an interior element, and measured coordinates x, followed by the
+factor L^-1 of their covariance L L^T:
 
     v = L^-1 (t R^T (X - X0) - x)                      7 unknowns, 3 residuals per point (Ackermann, Ebner, Klein 1973)
 
-Where the errors e that all points of a model share are estimated, their derivatives C stand behind the factor:
+If the common errors e of all points of a model are estimated, their derivatives C follow the factor:
 
     v = L^-1 (t R^T (X - X0) - x - C e)                and e is observed as 0 with the standard deviation 1
 """
@@ -17,7 +17,7 @@ from jaxbundle.camera.collinearity import Vector
 from jaxbundle.camera.model import CameraModel
 from jaxbundle.geometry.rotation import Scalar
 
-FACTOR = ((0, 0), (1, 0), (1, 1), (2, 0), (2, 1), (2, 2))  # rows and columns of L^-1 in their order
+FACTOR = ((0, 0), (1, 0), (1, 1), (2, 0), (2, 1), (2, 2))  # rows and columns of the elements of L^-1 in their order
 SHARED = tuple(f"e{k + 1}" for k in range(5))
 
 
@@ -46,18 +46,18 @@ MODEL_WITH_ERRORS = CameraModel(
 
 
 def factor_numbers(covariances: Float[np.ndarray, "ray 3 3"]) -> Float[np.ndarray, "ray 6"]:
-    """The numbers of L^-1 of each covariance L L^T."""
-    inverse = np.linalg.inv(np.linalg.cholesky(covariances))  # of a triangle of three rows
+    """The elements of L^-1 for each covariance L L^T."""
+    inverse = np.linalg.inv(np.linalg.cholesky(covariances))  # number of elements of a triangle of three rows
     return np.stack([inverse[:, i, j] for i, j in FACTOR], 1)
 
 
 def unwhitened(v: Float[np.ndarray, "ray 3"], numbers: Float[np.ndarray, "ray 6"]) -> Float[np.ndarray, "ray 3"]:
-    """L v: residuals in the unit of the measured coordinates."""
+    """Residuals L v in the unit of the measured coordinates."""
     return np.linalg.solve(lower_triangles(numbers), v[..., None])[..., 0]
 
 
 def lower_triangles(numbers: Float[np.ndarray, "ray 6"]) -> Float[np.ndarray, "ray 3 3"]:
-    """L^-1 of its numbers."""
+    """The matrix L^-1 from its elements."""
     factor = np.zeros((len(numbers), 3, 3))
     for k, (i, j) in enumerate(FACTOR):
         factor[:, i, j] = numbers[:, k]

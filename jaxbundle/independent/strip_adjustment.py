@@ -2,11 +2,11 @@
 
     v_geo  = x + T C - X_geo                   control
     v_bort = x_S + T(S) C + R - X_bort         navigation data with systematic errors R
-    v_phot = x + T C - X                       every point of every strip; points of two strips tie them
+    v_phot = x + T C - X                       all points of all strips; common points connect strips
     dX = T(p) C,   X = x + dX                  corrected points
 
-Strips are pre-oriented by seven parameters each, in one adjustment. Less rigorous than models: the errors along a strip
-are those of polynomials only (Ackermann 1965).
+Strips are pre-oriented by seven parameters each, in one adjustment. The method is less rigorous than models: errors
+along a strip are only those of polynomials (Ackermann 1965).
 """
 
 from collections.abc import Callable, Sequence
@@ -48,12 +48,12 @@ from jaxbundle.solve.adjustment import Adjustment
 from jaxbundle.solve.options import Choices, Options
 
 Names = Sequence[Sequence[str]]
-CURBED = 0.5  # redundancy number of a curb: below, control determines the coefficient less than the curb does
-STEP = 1e-4  # of half of the length: differences of polynomials of degree 3 are exact to 1e-8
+CURBED = 0.5  # redundancy number of an expected size: below this, it determines the coefficient more than control does
+STEP = 1e-4  # share of half of the length: differences of polynomials of degree 3 are exact to 1e-8
 
 
 class Corrected(NamedTuple):
-    """Corrected points of one strip."""
+    """The corrected points of one strip."""
 
     point: Int[np.ndarray, " point"]
     coordinates: Float[np.ndarray, "point 3"]
@@ -61,7 +61,7 @@ class Corrected(NamedTuple):
 
 
 class StripAdjustment(NamedTuple):
-    """Result of `adjust_strips`.
+    """The result of the function `adjust_strips`.
 
     Example:
         >>> strips = jb.simulate(1, 5, control_rows=3, control_sigma=0.02).block
@@ -71,21 +71,21 @@ class StripAdjustment(NamedTuple):
     """
 
     adjustment: Adjustment
-    """Of the strips: its images are the strips, its interior elements the coefficients, lengths in the object unit; its
-    points are the object points and, behind them, the projection centres."""
+    """The adjustment of the strips: its images are the strips, its interior elements are the coefficients, lengths in
+    the object unit; its points are the object points, then the projection centres."""
     block: Block
-    """The photographs, with the orientations and points of the strips: the start of another method."""
+    """The photographs with the orientations and points of the strips, as a start of another method."""
     oriented: Oriented
     """The exterior orientations, angles in radians; standard deviations of projection centres only."""
     points: Int[np.ndarray, " point"]
-    """Numbers of the object points of the strips in the block of photographs."""
+    """Indices of the object points of the strips in the block of photographs."""
     models: Models
     strips: tuple[Strip, ...]
     frames: tuple[Frame, ...]
     corrected: tuple[Corrected, ...]
-    """The points of each strip after their correction, and the correction."""
+    """The corrected points of each strip, and the corrections."""
     rigid: Adjustment
-    """The first orientation of the strips, by seven parameters each."""
+    """The first orientation of the strips, with seven parameters each."""
     findings: tuple[Finding, ...]
 
     @property
@@ -94,7 +94,7 @@ class StripAdjustment(NamedTuple):
         return np.asarray(self.adjustment.block.object_points)[: len(self.points)]
 
     def propagated(self) -> Propagated | None:
-        """Standard deviations by the errors of the image coordinates, which add up along a strip; None for a large
+        """Standard deviations from errors of the image coordinates, which accumulate along strips; None for a large
         block."""
         numbers = np.asarray(self.adjustment.block.rays.coordinates)[:, 3:9]
         rows = -whitening(lower_triangles(numbers)) @ strip_errors(self.strips, self.frames)
@@ -115,15 +115,15 @@ def adjust_strips(
 
     Args:
         block: photographs with approximate orientations, control or observed stations; its interior elements are fixed.
-        options: as of `adjust`, and its keywords.
-        degree: of the polynomials, 2 or 3.
-        form: "separate" polynomials of X, Y and Z; "plan-conformal", a complex one of X + iY and one of Z; or
+        options: as for `adjust`, also as keywords.
+        degree: degree of the polynomials, 2 or 3.
+        form: "separate" polynomials of X, Y and Z; "plan-conformal", a complex one for X + iY and one for Z; or
             "conformal" in space, of degree 2.
         strips: names of the images of each strip in their order; if None, strips are found.
-        progress: called after every iteration.
+        progress: a function that is called after each iteration.
 
-    Returns: the adjustment of the strips, and the photographs with its orientations. What control lacks for these
-    polynomials stands in `findings`.
+    Returns: the adjustment of the strips, and the photographs with the adjusted orientations. `findings` reports
+    missing control for these polynomials.
 
     Raises: BlockError for a block whose strips cannot be formed or that has no control; ValueError for another degree
     or form, or without float64.
@@ -180,7 +180,7 @@ def _pairs(strips: Names) -> list[tuple[str, str]]:
 
 
 def _joined(block: Block, models: Models) -> tuple[Strip, ...]:
-    """Strips of models that follow each other."""
+    """Strips of successive models."""
     seen = seen_points(block, models, whole=True)
     covariances = {m: seen.covariances[seen.sensor == m] for m in range(len(models))}
     chains: list[list[int]] = []
@@ -200,12 +200,12 @@ def _ends(block: Block, strip: Strip) -> tuple[str, str]:
 
 
 def _title(block: Block, k: int, strip: Strip) -> str:
-    """A strip in the user's words."""
+    """Name of a strip for messages."""
     return f"strip {k + 1} (images {' to '.join(_ends(block, strip))})"
 
 
 def _layout(block: Block, strips: tuple[Strip, ...], in_frames: tuple[Frame, ...], degree: int) -> list[Finding]:
-    """What the control of the strips lacks."""
+    """Findings about missing control of the strips."""
     control, stations = control_layout.full_control(block), control_layout.observed_stations(block)
     times = np.bincount(np.concatenate([strip.points for strip in strips]), minlength=len(control))
     found = []
@@ -225,7 +225,7 @@ def _layout(block: Block, strips: tuple[Strip, ...], in_frames: tuple[Frame, ...
 def _swinging(
     block: Block, adjustment: Adjustment, strips: tuple[Strip, ...], ends: list[dict[str, float]], how: tuple[Form, int]
 ) -> list[Finding]:
-    """Coefficients that their curbs determine rather than control."""
+    """Findings about coefficients that are determined by their expected sizes and not by control."""
     if adjustment.redundancy_numbers is None:
         return []
     r, found = np.asarray(adjustment.redundancy_numbers[-1]), []
@@ -242,7 +242,7 @@ def _swinging(
 def _corrections(
     frame: Frame, coefficients: Float[np.ndarray, " element"], how: tuple[Form, int], x: Float[np.ndarray, "point 3"]
 ) -> Float[np.ndarray, "point 3"]:
-    """T C in the system of the strip."""
+    """Corrections T C in the system of the strip."""
     t = correction(*how, tuple(coefficients), tuple(normalised(frame, x).T))
     return np.stack([np.broadcast_to(c, len(x)) for c in t], 1)
 
@@ -263,7 +263,7 @@ def _oriented(
     strips: tuple[Strip, ...],
     end: tuple[Adjustment, tuple[Form, int]],
 ) -> Oriented:
-    """Projection centres from the points that they are; attitudes turned as the polynomials turn the ground.
+    """Projection centres, which are points; attitudes are rotated like the ground by the polynomials.
 
     Its slopes dZ/dy and -dZ/dx are rotations about x and y, half of the curl in plan is one about z.
     """
@@ -288,7 +288,7 @@ def _oriented(
 
 
 def _rotations(turn: Float[np.ndarray, "image 3"]) -> Float[np.ndarray, "image 3 3"]:
-    """Rotation matrices of small vectors."""
+    """Rotation matrices of small rotation vectors."""
     x, y, z = turn.T
     zero = np.zeros_like(x)
     skew = np.stack([zero, -z, y, z, zero, -x, -y, x, zero], 1).reshape(-1, 3, 3)

@@ -16,12 +16,16 @@ from jaxbundle.independent.sensors import MODEL, factor_numbers
 from jaxbundle.solve.adjustment import Adjustment
 
 PARALLAX = 2.0  # standard deviations of a y-coordinate, the mean of two rays, in that of a parallax, their difference
-END = {"X": 1.1, "Y": 0.57, "Z": 0.93}  # of the end of a strip of n models, over m m_q n^1.5 (Z: times f / b)
-NARROW = 1e-3  # of the length: the least half of the width
+END = {
+    "X": 1.1,
+    "Y": 0.57,
+    "Z": 0.93,
+}  # constants of the errors at the end of a strip of n models, relative to m m_q n^1.5 (Z: times f / b)
+NARROW = 1e-3  # share of the length: minimum half of the width
 
 
 class Frame(NamedTuple):
-    """The system of a strip: x along it, z up, the origin in its middle."""
+    """The system of a strip: x along the strip, z up, the origin in its middle."""
 
     origin: Float[np.ndarray, "3"]
     axes: Float[np.ndarray, "3 3"]
@@ -29,11 +33,11 @@ class Frame(NamedTuple):
     half_length: float
     half_width: float
     turned: Float[np.ndarray, "3 3"]
-    """Matrix by which a small vector in the joined strip is one in this system: rotation over scale."""
+    """Matrix that converts small vectors of the joined strip to this system: rotation divided by scale."""
     coordinates: Float[np.ndarray, "point 3"]
-    """Of points and projection centres, pre-oriented."""
+    """Coordinates of points and projection centres, pre-oriented."""
     rotation: Float[np.ndarray, "image 3 3"]
-    """Matrices strip_from_image."""
+    """The rotation matrices strip_from_image."""
 
 
 def seen_by_strips(block: Block, strips: tuple[Strip, ...]) -> Seen:
@@ -113,7 +117,7 @@ def frames(rigid: Adjustment, strips: tuple[Strip, ...]) -> tuple[Frame, ...]:
 
 
 def normalised(frame: Frame, coordinates: Float[np.ndarray, "point 3"]) -> Float[np.ndarray, "point 4"]:
-    """What polynomials take: x, y, z over half of the length, y over half of the width."""
+    """Input of the polynomials: x, y, z relative to half of the length, y relative to half of the width."""
     return np.column_stack([coordinates / frame.half_length, coordinates[:, 1] / frame.half_width])
 
 
@@ -152,7 +156,7 @@ def polynomial_sensors(
 
 
 def end_errors(models: Models, strip: Strip) -> dict[str, float]:
-    """Expected errors at the free end of a strip, by coordinate, object unit (law of error propagation in strips)."""
+    """Expected errors at the free end of a strip for each coordinate, object unit (law of accumulation in strips)."""
     n, parallax, ratio = len(strip.models), [], []
     for m in strip.models:
         used = models.used[m]
@@ -175,7 +179,7 @@ def curb_group(ends: list[dict[str, float]], how: tuple[Form, int]) -> Observati
 
 
 def strip_errors(strips: tuple[Strip, ...], in_frames: tuple[Frame, ...]) -> sp.csr_matrix:
-    """Errors of all that the strips see, in their systems, by those of the image coordinates."""
+    """Errors of all points of the strips, in their systems, with respect to errors of the image coordinates."""
     parts = []
     for strip, frame in zip(strips, in_frames, strict=True):
         count = len(strip.points) + len(strip.images)

@@ -1,7 +1,7 @@
-"""What is observed or held of photographs, said of the points and models that stand for them.
+"""Converting observations and fixed values of photographs to the points and models that represent them.
 
-The projection centre of a photograph is an object point of its own. The rotation of a photograph is that of a model it
-belongs to times its constant rotation within the model.
+The projection centre of a photograph is a separate object point. The rotation of a photograph is that of one of its
+models times its constant rotation within the model.
 """
 
 import dataclasses
@@ -23,21 +23,21 @@ ROTATION = tuple(f"r{i}{j}" for i in (1, 2, 3) for j in (1, 2, 3))
 
 
 class Stand(NamedTuple):
-    """What stands for points and images of the photographs; -1 for what takes no part."""
+    """Representation of points and images of the photographs; -1 for unused ones."""
 
     point: Int[np.ndarray, " point"]
-    """Its number among the new points."""
+    """Index of each point among the new points."""
     centre: Int[np.ndarray, " image"]
-    """The new point that is the projection centre."""
+    """Index of the new point at the projection centre."""
     sensor: Int[np.ndarray, " image"]
-    """A model or strip that the image belongs to."""
+    """Index of a model or strip with the image."""
     rotation: Float[np.ndarray, "image 3 3"]
     """Matrix sensor_from_image."""
 
 
 @dataclass(frozen=True)
 class _Residual:
-    """The residual of a kind that touches sensors: a class, so that compiled programs are found again by its fields."""
+    """The residual of a kind that touches sensors; a class, so that its fields identify compiled programs."""
 
     kind: ObservationKind
 
@@ -54,9 +54,9 @@ class _Residual:
 
 @cache
 def kind_of_sensors(kind: ObservationKind) -> ObservationKind:
-    """The kind that touches sensor and projection centre wherever another one touches an image.
+    """Converts a kind: sensor and projection centre replace a touched image.
 
-    The rotations of the images within their sensors stand as constants behind those of the kind.
+    The rotations of the images within their sensors are additional constants.
     """
     touches: list[str] = []
     for entity in kind.touches:
@@ -69,7 +69,7 @@ def kind_of_sensors(kind: ObservationKind) -> ObservationKind:
 def translated(
     groups: tuple[ObservationGroup, ...], names: dict[str, tuple[str, ...]], stand: Stand
 ) -> tuple[tuple[ObservationGroup, ...], tuple[Finding, ...]]:
-    """The groups for models or strips, and what of them takes no part.
+    """The groups for models or strips, and findings about unused observations.
 
     `names`: of the points and images of the photographs.
     """
@@ -80,7 +80,7 @@ def translated(
             told.append(
                 Finding(
                     Kind.UNUSED,
-                    f"{counted(group.count, 'observation')} of interior elements take no part: models are formed with"
+                    f"{counted(group.count, 'observation')} of interior elements are not used: models are formed with"
                     " fixed interior elements",
                     "estimate interior elements by the bundle method",
                     (Subject(kind.table),),
@@ -129,14 +129,14 @@ def _translated(
 
 
 def _unused(group: ObservationGroup, missing: np.ndarray, names: dict[str, tuple[str, ...]]) -> Finding:
-    """Members whose point or image is in no model."""
+    """The finding about members whose point or image is in no model."""
     entity = next(e for e in group.structure.kind.touches if e in names)
     column = group.structure.kind.touches.index(entity)
     who = [names[entity][i] for i in group.structure.indices[missing, column].tolist()]
     table = group.structure.kind.table
     return Finding(
         Kind.UNUSED,
-        f"{counted(len(who), 'row')} of {table} take no part, since {named(who)} {'is' if len(who) == 1 else 'are'}"
+        f"{counted(len(who), 'row')} of {table} are not used, because {named(who)} {'is' if len(who) == 1 else 'are'}"
         " in no model",
         "adjust them by the bundle method, or measure the points in both images of a model",
         tuple(Subject(table, (name,)) for name in who),

@@ -145,8 +145,7 @@ def _numbers(file: str, text: bytes, promised: int) -> Numbers:
 
 
 def _what_is_wrong(file: str, text: bytes, promised: int, readable: bool) -> BlockError:
-    """Index of the first field that is not a number, else of the first incomplete observation, else the number of
-    fields."""
+    """Index of the first wrong field: not a number, or in an incomplete observation; else the number of fields."""
     cameras, points, observations = _counts(file, text)
     wrong = None if readable else next((field for field in FIELD.finditer(text) if not _is_finite(field[0])), None)
     if wrong:

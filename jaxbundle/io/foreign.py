@@ -3,7 +3,7 @@
 import codecs
 from pathlib import Path
 
-from jaxbundle.io.text_files import known_bytes
+from jaxbundle.io.text_files import file_bytes, known_bytes
 
 FOLDERS: tuple[tuple[str, tuple[str, ...]], ...] = (  # description, and files that must all exist
     ("a COLMAP model", ("cameras.bin", "images.bin")),
@@ -20,6 +20,12 @@ FOLDERS: tuple[tuple[str, tuple[str, ...]], ...] = (  # description, and files t
     ("an OPF project", ("project.opf",)),
     ("a Bundler project", ("bundle.out",)),
     ("a Bundler project", ("bundle", "list.txt")),
+)
+SQLITE, TABLE, SCHEMA = b"SQLite format 3\0", b"two_view_geometries", 65_536  # bytes that hold the names of the tables
+DATABASE = "is a database of COLMAP, with measurements and matches and without orientations"
+DATABASE_CURE = (
+    "run the mapper of COLMAP on it and give the folder of the model that it makes (sparse/0), or measure the"
+    " photographs with jaxbundle measure"
 )
 PATTERNS = (  # of files in a folder
     ("*.psx", "a Metashape project"),
@@ -77,6 +83,12 @@ def known_folder(folder: Path) -> str:
         if all((folder / file).exists() for file in files):
             return name
     return next((name for pattern, name in PATTERNS if next(folder.glob(pattern), None)), "")
+
+
+def is_database(path: Path) -> bool:
+    """Whether a file is a database of COLMAP."""
+    data = file_bytes(path, SCHEMA)
+    return data.startswith(SQLITE) and TABLE in data
 
 
 def known_file(path: Path, head: bytes) -> str:

@@ -11,9 +11,8 @@ from pydantic_core import PydanticCustomError
 MAX_LENGTH = 1e12  # m or mm, or px: 150 times the earth's radius in mm; there double precision resolves 0.1 mm
 MAX_IMAGE_COORDINATE = 1e9  # px or mm: a thousand times the largest mosaics
 MAX_TIME = 1e16  # any unit: nanoseconds of several months, microseconds since 1970
-MAX_COEFFICIENT = (
-    1e12  # coefficients of distortion, any unit: balanced terms in mm are below 1e-3, and no coefficient exceeds 1e3
-)
+# coefficients of distortion, any unit: balanced terms in mm are below 1e-3, and no coefficient exceeds 1e3
+MAX_COEFFICIENT = 1e12
 MAX_COVARIANCE = MAX_LENGTH**2
 TURNS = 100  # of an angle: nobody counts full turns
 SMALLEST_SIGMA = 1e-15  # m, mm, px or rad: its weight 1/sigma^2 of 1e30 exceeds any other by more than 16 digits

@@ -9,7 +9,7 @@ from jaxbundle.diagnosis.before import prepared
 from jaxbundle.io.bal import HEAD, is_bal, read_bal
 from jaxbundle.io.block_folder import read_block_folder
 from jaxbundle.io.block_toml import FILE
-from jaxbundle.io.foreign import known_file, known_folder
+from jaxbundle.io.foreign import DATABASE, DATABASE_CURE, is_database, known_file, known_folder
 from jaxbundle.io.formats.format_table import FORMATS, READ, Format, recognised
 from jaxbundle.io.formats.side_tables import Sources, read_sources
 from jaxbundle.io.text_files import UnreadableError, file_bytes
@@ -97,6 +97,8 @@ def _unknown_file(path: Path, head: bytes) -> BlockError:
         known, cure = f"is a file of the block folder {path.parent}", "give the folder itself"
     elif (form := next(iter(_recognised(path.parent)), None)) is not None:
         known, cure = f"is a file of {form.words}", f"give the folder {path.parent}"
+    elif is_database(path):
+        known, cure = DATABASE, DATABASE_CURE
     elif known:
         known = f"{known}, which is not read"
     return BlockError([Problem(f"{path} {known or 'has an unknown format'}", cure)])

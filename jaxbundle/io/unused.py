@@ -24,9 +24,8 @@ from jaxbundle.io.tables import near, read_table
 CARRYING = {"control": "control points", "stations": "stations", "attitudes": "attitudes"}
 DATUM = ("control", "stations")
 FEW = 10  # maximum number of unmatched names that may be mistakes; more are another list of points
-NEAR = (
-    0.05  # share of the extent of the object points: control farther from its approximate coordinates is another point
-)
+# share of the extent of the object points: control farther from its approximate coordinates is another point
+NEAR = 0.05
 
 
 def unused(

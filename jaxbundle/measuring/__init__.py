@@ -1,13 +1,15 @@
-"""From photographs to a block folder: what joins the measuring of images with orientations and with files of blocks.
+"""From photographs to a block folder: combines measurement of images, orientations and block files.
 
-It lies above `imagery`, which knows no orientation of pairs, above `approximate`, which knows no image, and above `io`.
+It uses `imagery`,
+
+which has no orientation of pairs, `approximate`, which has no images, and `io`.
 
     what                                                        file
     photographs of one measurement, checked together            photo_set
     pairs verified by their relative orientation                verify
     rays of tracks by least-squares matching                    measured_rays
     the block folder                                            measured_folder
-    all of it, photographs in, block folder out                 measurement
+    the whole process, from photographs to block folder                 measurement
 """
 
 from jaxbundle.numerics.lazy_names import lazy_names

@@ -1,7 +1,7 @@
-"""The block folder of measured photographs: cameras and stations of their EXIF data, rays; orientations are empty."""
+"""Writing the block folder of measured photographs: cameras, stations and rays, without orientations."""
 
 from pathlib import Path
-from typing import Any
+from typing import Any, NamedTuple
 
 import numpy as np
 from jaxtyping import Float
@@ -13,8 +13,23 @@ from jaxbundle.measuring.measured_rays import MeasuredRays
 from jaxbundle.measuring.photo_set import PhotoSet
 
 ESTIMATED = ["principal_distance", "x0", "y0", "K1", "K2", "P1", "P2"]
-RELATIVE_SIGMA = 0.03  # of a principal distance from EXIF data, which is rounded and belongs to another focus
+RELATIVE_SIGMA = 0.03  # relative sigma of a principal distance from EXIF data, which is rounded and for another focus
+RECEIVER = "receiver"  # the group of stations that share the slowly changing errors of one receiver
 ORIENTATION = ("X0", "Y0", "Z0", "omega", "phi", "kappa")
+
+
+class StationSigmas(NamedTuple):
+    """Standard deviations of the positions of a receiver without corrections, m.
+
+    Errors of orbits, clocks and the atmosphere change slowly: photographs of one flight share them. Noise and multipath
+    of code measurements, of about 1 m (Misra, Enge 2006, Global Positioning System, section 5.3), differ from one
+    photograph to the next.
+    """
+
+    horizontal: float = 1.0
+    vertical: float = 1.5
+    shift: float = 5.0
+    """Of each component of the shift that all positions share."""
 
 
 def write_measured(
@@ -22,16 +37,16 @@ def write_measured(
     photos: PhotoSet,
     rays: MeasuredRays,
     stations: Float[np.ndarray, "image 3"],
-    station_sigmas: tuple[float, float],
+    station_sigmas: StationSigmas,
 ) -> None:
-    """Writes block.toml, images.csv, rays.csv and, where there are any, stations.csv.
+    """Writes block.toml, images.csv, rays.csv and, if there are stations, stations.csv.
 
     Args:
-        folder: made where it does not exist.
+        folder: path of the folder, which is created if missing.
         photos: the photographs.
-        rays: their images are numbers of photographs.
-        stations: m, NaN where an image has none.
-        station_sigmas: m, horizontal and vertical.
+        rays: rays with indices of photographs as images.
+        stations: in m, NaN for images without station.
+        station_sigmas: of the observed projection centres.
     """
     names = [photo.name for photo in photos.photos]
     used = np.unique(rays.image)
@@ -53,11 +68,12 @@ def write_measured(
     }
     known = used[np.isfinite(stations[used]).all(1)]
     if len(known):
-        horizontal, vertical = station_sigmas
+        sigmas = (station_sigmas.horizontal, station_sigmas.horizontal, station_sigmas.vertical)
         tables["stations"] = {
             "image": [names[i] for i in known],
             **{c: np.round(stations[known, k], 4) for k, c in enumerate("XYZ")},
-            **{f"s{c}": np.full(len(known), vertical if c == "Z" else horizontal) for c in "XYZ"},
+            **{f"s{c}": np.full(len(known), sigma) for c, sigma in zip("XYZ", sigmas, strict=True)},
+            "group": [RECEIVER] * len(known),
         }
     folder.mkdir(parents=True, exist_ok=True)
     for kind, columns in tables.items():
@@ -73,6 +89,8 @@ def write_measured(
         "sigma": {"image": 0.5},
         "tables": {kind: f"{kind}.csv" for kind in tables},
     }
+    if len(known):
+        settings["navigation"] = {RECEIVER: {"estimate": ["shift"], "priors": {"shift": station_sigmas.shift}}}
     write_block_toml(folder / FILE, Settings.model_validate(settings))
 
 

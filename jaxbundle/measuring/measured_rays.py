@@ -1,4 +1,4 @@
-"""Rays of tracks: every ray of a track measured against one template, on finer and finer levels of the pyramids."""
+"""Measuring rays of tracks: all rays of a track with one template, on increasingly fine levels of the pyramids."""
 
 from collections.abc import Sequence
 from typing import NamedTuple
@@ -12,20 +12,20 @@ from jaxbundle.imagery.tracks import Tracks, local_affine
 from jaxbundle.imagery.window_pairs import PairTable, match_pairs
 from jaxbundle.imagery.windows import GreyImages
 
-COARSE = MatchOptions(min_correlation=0.6)  # of a level that a finer one follows
+COARSE = MatchOptions(min_correlation=0.6)  # options of a level before a finer one
 FINE = MatchOptions()
 
 
 class MeasuredRays(NamedTuple):
-    """Rays of points on at least two images."""
+    """Measured rays of points on at least two images."""
 
     image: Int[np.ndarray, " ray"]
     point: Int[np.ndarray, " ray"]
     xy: Float[np.ndarray, "ray 2"]
-    """px of level 0."""
+    """Coordinates in px of level 0."""
     sigmas: Float[np.ndarray, "ray 2"]
     refused: dict[Refusal, int]
-    """Number of rays that were tried and left out, by the reason."""
+    """Number of tried rays that were left out, for each reason."""
 
 
 def measured_rays(
@@ -36,8 +36,8 @@ def measured_rays(
     Args:
         images: the pyramids.
         found: the tracks.
-        features: positions of the features of each image.
-        level: on which they were found.
+        features: features of each image with their positions.
+        level: level of the detection.
     """
     xy = np.zeros((len(found.image), 2))
     for image in np.unique(found.image):
@@ -49,7 +49,7 @@ def measured_rays(
     for k in range(level, -1, -1):
         matches = match_pairs(images, pairs, k, FINE if k == 0 else COARSE)
         pairs = pairs._replace(predicted=matches.position)
-    assert matches is not None, "level 0 is there"
+    assert matches is not None, "level 0 exists"
     good, points = matches.matched, int(found.point.max(initial=-1)) + 1
     own, of_templates = ray_sigmas(matches.covariance, good, found.point[ray], points)
     templates = np.unique(template[good])
@@ -65,7 +65,7 @@ def measured_rays(
 def _pairs(
     found: Tracks, xy: Float[np.ndarray, "ray 2"], features: Sequence[np.ndarray]
 ) -> tuple[Int[np.ndarray, " pair"], Int[np.ndarray, " pair"]]:
-    """Rays of templates, nearest to the middle of their image, and the others, sorted by the templates' images."""
+    """Rays of templates, nearest to the centre of their image, and the others, sorted by the templates' images."""
     middle = np.array([(f.min(0) + f.max(0)) / 2 if len(f) else [0.0, 0.0] for f in features])
     away = ((xy - middle[found.image]) ** 2).sum(1)
     order = np.lexsort((away, found.point))
@@ -80,7 +80,7 @@ def _pairs(
 def _affine(
     found: Tracks, xy: Float[np.ndarray, "ray 2"], template: Int[np.ndarray, " pair"], ray: Int[np.ndarray, " pair"]
 ) -> Float[np.ndarray, "pair 2 2"]:
-    """From neighbouring points that both images have in common."""
+    """Derivatives from neighbouring common points of both images."""
     affine = np.full((len(ray), 2, 2), np.nan)
     both = found.image[template].astype(np.int64) * (int(found.image.max(initial=0)) + 1) + found.image[ray]
     rays_of = {int(image): np.flatnonzero(found.image == image) for image in np.unique(found.image)}

@@ -17,36 +17,35 @@ from jaxbundle.imagery.image_problems import ImageError
 from jaxbundle.imagery.interest_points import NUMBER, empty_places, kept_features
 from jaxbundle.imagery.tracks import tracks
 from jaxbundle.imagery.windows import GreyImages
-from jaxbundle.measuring.measured_folder import write_measured
+from jaxbundle.measuring.measured_folder import StationSigmas, write_measured
 from jaxbundle.measuring.measured_rays import MeasuredRays, measured_rays
 from jaxbundle.measuring.photo_set import CameraGiven, PhotoSet, photo_set
 from jaxbundle.measuring.verify import View, verified_pairs
 
-MIN_RAYS = 12  # of an image: fewer leave places of von Gruber empty
+MIN_RAYS = 12  # minimum rays of an image: with fewer, regions of von Gruber are empty
 Told = Callable[[str], None]
 
 
 class MeasureOptions(NamedTuple):
-    """How photographs are measured.
+    """Options of the measurement of photographs.
 
     Example:
-        >>> jb.measuring.MeasureOptions(level=2).station_sigmas
-        (3.0, 6.0)
+        >>> jb.measuring.MeasureOptions(level=2).level
+        2
     """
 
     level: int = 1
-    """Level of the pyramids on which points are found."""
+    """Level of the pyramids for the detection of points."""
     number: int = NUMBER
-    """Largest number of points found in an image."""
+    """Maximum number of points detected in an image."""
     camera: CameraGiven = CameraGiven()
-    station_sigmas: tuple[float, float] = (3.0, 6.0)
-    """m, horizontal and vertical: a receiver without corrections."""
+    station_sigmas: StationSigmas = StationSigmas()
     pyramids: Path | None = None
-    """Folder of the pyramids; beside the photographs if it is not given."""
+    """Folder of the pyramids; by default in the folder of the photographs."""
 
 
 class Measured(NamedTuple):
-    """What was measured.
+    """Result of the measurement of photographs.
 
     Example:
         >>> jb.measuring.Measured._fields
@@ -56,7 +55,7 @@ class Measured(NamedTuple):
     photos: PhotoSet
     rays: MeasuredRays
     stations: Float[np.ndarray, "image 3"]
-    """East, north, up in m from the mean of all stations; NaN where an image has none."""
+    """East, north, up in m from the mean of all stations; NaN for images without station."""
     findings: tuple[Finding, ...]
 
 
@@ -68,18 +67,18 @@ def measure(
     positions: Mapping[str, Station] | None = None,
     tell: Told = lambda what: None,
 ) -> Measured:
-    """Tie points of photographs from nothing, and the block folder they make.
+    """Measures tie points in photographs without approximate values, and writes a block folder.
 
     Args:
         paths: image files of one project.
-        out: the block folder that is written; none if it is not given.
+        out: path of the block folder to write; None writes no folder.
         options: levels, numbers, cameras, accuracy of the stations.
-        positions: stations by the names of the images, in place of those of the EXIF data.
-        tell: is called with what is being done.
+        positions: stations by the names of the images, instead of those of the EXIF data.
+        tell: a function that is called with the name of the current phase.
 
-    Returns: photographs, rays with standard deviations, stations, and what was found.
+    Returns: photographs, rays with standard deviations, stations, and findings.
 
-    Raises: ImageError for photographs that cannot be used, or that have no points in common.
+    Raises: ImageError for unusable photographs, or photographs without common points.
 
     Example:
         >>> jb.measuring.measure(sorted(Path("photos").glob("*.jpg")), "block")  # doctest: +SKIP
@@ -97,7 +96,7 @@ def measure(
         views.append(View(own, interior, station if np.isfinite(station).all() else None))
     pairs = verified_pairs(views, 2.0**options.level, lambda k, n: tell(f"pair {k} of {n}"))
     if not pairs:
-        raise ImageError([Problem("no two images have points in common", "give images that overlap by half or more")])
+        raise ImageError([Problem("no two images have common points", "give images that overlap by half or more")])
     positions_of_features = [view.features.xy for view in views]
     found = tracks([len(xy) for xy in positions_of_features], pairs)
     tell(f"matching {len(found.image)} rays of {int(found.point.max(initial=-1)) + 1} points")
@@ -114,28 +113,28 @@ def _stations(photos: PhotoSet) -> Float[np.ndarray, "image 3"]:
     if not np.isfinite(given).all(1).any():
         return given
     origin = np.nanmean(given, 0)
-    origin[2] = 0.0  # heights stay those of the receiver
+    origin[2] = 0.0  # heights are those of the receiver
     return topocentric(given, origin)
 
 
 def _judged(photos: PhotoSet, rays: MeasuredRays) -> list[Finding]:
-    """Images without rays or in parts of their own, and empty places of von Gruber."""
+    """Findings about images without rays, separate parts, and empty regions of von Gruber."""
     count, found = len(photos.photos), []
     number = np.bincount(rays.image, minlength=count)
     for k, photo in enumerate(photos.photos):
         subject, (rows, columns) = (Subject("images", (photo.name,)),), photo.pyramid.sizes[0]
         if number[k] < MIN_RAYS:
             what = f"image {photo.name} has {number[k]} rays"
-            found.append(Finding(Kind.PARTS, what, "give images that overlap it, or leave it out", subject))
+            found.append(Finding(Kind.PARTS, what, "add images that overlap it, or leave it out", subject))
             continue
         empty = empty_places(rays.xy[rays.image == k], rows, columns)
         if empty:
-            what = f"image {photo.name} has no point in {empty} of its 9 places of von Gruber"
-            found.append(Finding(Kind.UNCONTROLLED, what, "look for water, shadow or a missing neighbour", subject))
+            what = f"image {photo.name} has no point in {empty} of its 9 regions of von Gruber"
+            found.append(Finding(Kind.UNCONTROLLED, what, "check for water, shadow or a missing neighbour", subject))
     size = count + int(rays.point.max(initial=-1)) + 1
     graph = coo_array((np.ones(len(rays.image)), (rays.image, count + rays.point)), (size, size))
     part = connected_components(graph, directed=False)[1][:count][number > 0]
     if len(np.unique(part)) > 1:
-        what = f"the images fall into {len(np.unique(part))} parts without common points"
-        found.append(Finding(Kind.PARTS, what, "give the images between them, or adjust the parts one by one"))
+        what = f"the images form {len(np.unique(part))} parts without common points"
+        found.append(Finding(Kind.PARTS, what, "add the images between them, or adjust the parts separately"))
     return found

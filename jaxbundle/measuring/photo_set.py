@@ -1,4 +1,4 @@
-"""The photographs of one measurement: their pyramids, cameras and stations, and what is wrong with them together."""
+"""The photographs of one measurement: pyramids, cameras and stations, and their problems."""
 
 import math
 from collections.abc import Mapping, Sequence
@@ -15,14 +15,14 @@ from jaxbundle.imagery.image_problems import ImageError
 from jaxbundle.imagery.photographs import photograph
 from jaxbundle.imagery.pyramid_file import Pyramid, pyramid, source_hash
 
-BLANK = 2.0  # grey values: standard deviation of an overview below which nothing can be measured
-BLURRED = 0.25  # of the median sharpness of all images
-OVERVIEW = 1024  # px: the level that sharpness is judged on is the first one not larger than this
+BLANK = 2.0  # grey values: standard deviation of an overview below which measurement is impossible
+BLURRED = 0.25  # share of the median sharpness of all images
+OVERVIEW = 1024  # px: sharpness is computed on the first level not larger than this
 COLUMNS = ("image", "latitude", "longitude", "altitude")
 
 
 class Photo(NamedTuple):
-    """One photograph."""
+    """One photograph of a measurement."""
 
     name: str
     path: Path
@@ -33,16 +33,16 @@ class Photo(NamedTuple):
 
 
 class PhotoSet(NamedTuple):
-    """Photographs, the principal distances of their cameras, and what was found."""
+    """Photographs, the principal distances of their cameras, and findings."""
 
     photos: tuple[Photo, ...]
     principal_distances: Mapping[str, float]
-    """px, by the name of the camera."""
+    """Principal distances in px, by the name of the camera."""
     findings: tuple[Finding, ...]
 
 
 class CameraGiven(NamedTuple):
-    """What the user says of the camera; None where the EXIF data shall say it.
+    """Camera data from the user; None means the EXIF data.
 
     Example:
         >>> jb.measuring.CameraGiven()
@@ -52,11 +52,11 @@ class CameraGiven(NamedTuple):
     principal_distance: float | None = None
     """px."""
     sensor_width: float | None = None
-    """mm, of the columns of the image."""
+    """Sensor width in mm, along the columns of the image."""
 
 
 def read_positions(path: Path) -> dict[str, Station]:
-    """Stations by the names of their images: a CSV table with image, latitude, longitude (deg), altitude (m).
+    """Reads stations by the names of their images: a CSV table with image, latitude, longitude (deg), altitude (m).
 
     Raises: ImageError for a table without these columns or with a field that is not a number.
 
@@ -91,15 +91,15 @@ def photo_set(
     given: CameraGiven = CameraGiven(),  # noqa: B008  an immutable tuple
     positions: Mapping[str, Station] | None = None,
 ) -> PhotoSet:
-    """Opens photographs and judges them together.
+    """Opens photographs and checks them together.
 
     Args:
         paths: image files.
-        pyramids: folder of the pyramids; beside the images if it is not given.
-        given: what the user says of the camera.
-        positions: stations by the names of the images, in place of those of the EXIF data.
+        pyramids: folder of the pyramids; by default in the folder of the images.
+        given: camera data from the user.
+        positions: stations by the names of the images, instead of those of the EXIF data.
 
-    Raises: ImageError with all that is wrong: unreadable or blank images, duplicates, sizes that differ in one camera,
+    Raises: ImageError with all problems: unreadable or blank images, duplicates, different sizes in one camera,
         an unknown principal distance.
     """
     _require_distinct(paths)
@@ -115,11 +115,13 @@ def photo_set(
             continue
         if positions is not None:
             exif = exif._replace(station=positions.get(path.name, positions.get(path.stem, exif.station)))
+        if exif.station is not None and math.isnan(exif.station.altitude):
+            exif = exif._replace(station=exif.station._replace(altitude=0.0))
         camera = " ".join([exif.camera or "camera", *([f"{exif.focal:g} mm"] if exif.focal else [])])
         photos.append(Photo(path.name, path, made, exif, camera))
         if photograph(path).orientation != 1:
             what = f"image {path.name} has an orientation in its EXIF data, which is not applied"
-            found.append(_note(path.name, what, "measure coordinates in the image as it is stored"))
+            found.append(_note(path.name, what, "measure coordinates in the stored image"))
     problems += [*_sizes(photos), *_blank(photos)]
     distances = {}
     for photo in photos:
@@ -147,12 +149,12 @@ def _require_distinct(paths: Sequence[Path]) -> None:
     for path in paths:
         if path.name in names:
             what = f"has the name of {names[path.name]}"
-            problems.append(Problem(what, "give every image once, under a name of its own", str(path)))
+            problems.append(Problem(what, "give each image once, with a unique name", str(path)))
         names[path.name] = path
         if path.is_file():
             key = source_hash(path)
             if key in hashes and hashes[key].name != path.name:
-                problems.append(Problem(f"is the same image as {hashes[key]}", "give every image once", str(path)))
+                problems.append(Problem(f"is the same image as {hashes[key]}", "give each image once", str(path)))
             hashes[key] = path
     if problems:
         raise ImageError(problems)
@@ -167,7 +169,7 @@ def _sizes(photos: Sequence[Photo]) -> list[Problem]:
         if (rows, columns) != (height, width):
             what = f"has {columns} x {rows} px, {other.name} of the same camera {width} x {height} px"
             turned = (rows, columns) == (width, height)
-            cure = "store it as the camera took it, not turned" if turned else "give images as the camera took them"
+            cure = "use the original image, not a rotated one" if turned else "use the original images of the camera"
             problems.append(Problem(what, cure, str(photo.path)))
     return problems
 
@@ -187,7 +189,7 @@ def _blank(photos: Sequence[Photo]) -> list[Problem]:
 
 
 def _blurred(photos: Sequence[Photo]) -> list[Finding]:
-    """Images whose differences of neighbours are small against those of the others."""
+    """Findings about images whose differences of neighbouring grey values are small compared with the others."""
     sharpness = np.array([np.abs(np.diff(_overview(photo), axis=1)).mean() for photo in photos])
     median = float(np.median(sharpness))
     return [
@@ -195,7 +197,7 @@ def _blurred(photos: Sequence[Photo]) -> list[Finding]:
             Kind.INFORMATION,
             f"image {photo.name} is blurred: its neighbouring grey values differ by {own:.2f}, in the median of all"
             f" images by {median:.2f}",
-            "leave it out if its rays are few",
+            "leave it out if it has few rays",
             (Subject("images", (photo.name,)),),
             float(own),
         )
@@ -205,7 +207,7 @@ def _blurred(photos: Sequence[Photo]) -> list[Finding]:
 
 
 def _principal_distance(photo: Photo, given: CameraGiven) -> float | None:
-    """px; of the 35 mm equivalent by the width, or by the longer side of an image that stands upright."""
+    """Principal distance in px; from the 35 mm equivalent by the width, or by the longer side of a portrait image."""
     longer = max(photo.pyramid.sizes[0])
     if given.principal_distance is not None:
         return given.principal_distance

@@ -1,4 +1,4 @@
-"""Pairs of images, their candidates verified by the relative orientation."""
+"""Verifying the candidates of pairs of images by the relative orientation."""
 
 from collections.abc import Callable, Sequence
 from typing import NamedTuple
@@ -11,20 +11,20 @@ from jaxbundle.imagery.interest_points import Features
 from jaxbundle.imagery.match_candidates import candidates
 from jaxbundle.orientation.relative_orientations import relative_orientation
 
-ROWS = 512  # points of a relative orientation: one program for all pairs
-MIN_MATCHES = 20  # candidates; of fewer, five rays fit too many by chance
-MIN_SHARE = 0.3  # of the candidates that agree
-SIGMA = 2.0  # px of the detection level: detectors attain 0.3, the rest is distortion that is not known yet
-SAMPLES = 64  # find an orientation with 40 % of wrong candidates in 99.4 % of cases
-NEIGHBOURS = 10  # stations: three strips of a block at 60 % side overlap
+ROWS = 512  # maximum points of a relative orientation: one program for all pairs
+MIN_MATCHES = 20  # minimum candidates; with fewer, too many fit five rays by chance
+MIN_SHARE = 0.3  # minimum share of agreeing candidates
+SIGMA = 2.0  # px of the detection level: detectors have 0.3, the rest is unknown distortion
+SAMPLES = 64  # samples that find an orientation with 40 % wrong candidates in 99.4 % of cases
+NEIGHBOURS = 10  # nearest stations: three strips of a block with 60 % side overlap
 
 
 class View(NamedTuple):
-    """What a pair needs of an image."""
+    """Data of an image for pairs."""
 
     features: Features
     interior: Float[np.ndarray, "5"]
-    """Principal distance, x0, y0 in px, 1 and -1: elements of the model without distortion."""
+    """Interior elements of the model without distortion: principal distance, x0, y0 in px, 1 and -1."""
     station: Float[np.ndarray, "3"] | None
     """m."""
 
@@ -33,7 +33,7 @@ Pairs = dict[tuple[int, int], Int[np.ndarray, "match 2"]]
 
 
 def neighbours(views: Sequence[View]) -> list[tuple[int, int]]:
-    """Pairs of images that may overlap: all, or those of near stations where every image has one."""
+    """Pairs of images that may overlap: all, or those of near stations if each image has a station."""
     count = len(views)
     every = [(i, j) for i in range(count) for j in range(i + 1, count)]
     stations = [view.station for view in views if view.station is not None]
@@ -48,12 +48,12 @@ def neighbours(views: Sequence[View]) -> list[tuple[int, int]]:
 def verified_pairs(
     views: Sequence[View], scale: float, done: Callable[[int, int], None] = lambda number, total: None
 ) -> Pairs:
-    """Matches of all pairs that fit a relative orientation.
+    """Matches of all pairs that agree with a relative orientation.
 
     Args:
         views: the images.
-        scale: px of level 0 in a px of the level of the features.
-        done: called after each pair with its number and the number of all.
+        scale: px of level 0 per px of the level of the features.
+        done: a function that is called after each pair with its number and the total number.
     """
     pairs, found = neighbours(views), {}
     for number, (i, j) in enumerate(pairs):
@@ -65,7 +65,7 @@ def verified_pairs(
 
 
 def verified(first: View, second: View, sigma: float) -> Int[np.ndarray, "match 2"]:
-    """Candidates of two images that fit their relative orientation; none where too few do."""
+    """Candidates of two images that fit their relative orientation; none if there are too few."""
     pairs = candidates(first.features.descriptors, second.features.descriptors)
     if len(pairs) < MIN_MATCHES:
         return pairs[:0]

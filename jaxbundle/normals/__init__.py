@@ -9,7 +9,7 @@
 Computed once per structure, on the host (`plan`, numpy only): the order of the images, tiles of points, lists of pairs
 and panels. Once per block (`from_block`): a `Problem` of padded JAX arrays, so that blocks of similar size share a
 compiled program. Once per linearisation (`step.linearise`): the table of the images, observations that are not rays of
-tiles. Once per damping: everything else, since the Jacobian is not stored.
+tiles. All other values are computed once per damping, since the Jacobian is not stored.
 
     symbol   meaning                                                         file
     -        types: unknowns, problem, vectors                               problem
@@ -26,7 +26,7 @@ tiles. Once per damping: everything else, since the Jacobian is not stored.
     v^T P v  cost and weighted residuals, differentiable                     cost
     N x      products of the equations with vectors                          normal_products
     N^-1 b   and H^-1 b, with all second derivatives                         solve_normals
-    -        what an end point is worth: gradient, pivots                    inspection
+    -        checks of an end point: gradient, pivots                    inspection
     Q, h     cofactors and leverages; their transposed derivative            cofactors, leverage, cofactor_gradient
 
 Words: a *slot* is an image in a tile, a *cell* a slot and a point, a *chunk* a row of tiles that is computed at once.

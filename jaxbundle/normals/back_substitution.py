@@ -1,9 +1,9 @@
-"""Back-substitution, tile by tile: the points' part of a step, and what the step does to the residuals.
+"""Back-substitution, tile by tile: corrections of the points, and the change of the residuals by the step.
 
     dX = -L^-T (z + E^T dt) = -L^-T L^-1 (g_X + B^T A dt)
 
-A dt is one forward derivative of the image equation along the step of the images, B^T (...) one transposed one: no row
-is formed. The residuals before and after the step come out in the same pass.
+A dt is one forward derivative of the image equation along the step of the images, B^T (...) one transposed derivative:
+no rows are formed. The same pass computes the residuals before and after the step.
 """
 
 from typing import NamedTuple
@@ -24,13 +24,13 @@ class Substituted(NamedTuple):
     cost: Float[Array, ""]
     """v^T P v / 2 before the step."""
     reduction: Float[Array, ""]
-    """By how much the step reduces it."""
+    """Reduction of v^T P v / 2 by the step."""
     residual_change: Float[Array, ""]
-    """|change of v|^2."""
+    """Squared norm of the change of v."""
     gradient_step: Float[Array, ""]
-    """g . d of the points."""
+    """Product g . d of the points."""
     damped_step: Float[Array, ""]
-    """d . lambda D d of the points."""
+    """Product d . lambda D d of the points."""
     steepness: Float[Array, ""]
     """Maximum of g_k^2 / N_kk over the points."""
 
@@ -42,7 +42,7 @@ def substitute(
     stored: Float[Array, "tile number"],
     damping: Array,
 ) -> Substituted:
-    """All chunks of one device. `direction`, `after`: values of the images along the step and behind it."""
+    """All chunks of one device. `direction`, `after`: values of the images along the step and after it."""
     table = jnp.concatenate([linear.values, direction, after], 1)
     width, n, points = linear.values.shape[1], linear.width, linear.unknowns.tiles
 
@@ -79,7 +79,7 @@ def substitute(
 
 
 def _steepness(equations: PointEquations, own: Array) -> Array:
-    """The maximum of g_k^2 / N_kk over the free coordinates of every point."""
+    """The maximum of g_k^2 / N_kk over the free coordinates of each point."""
     steep = jnp.zeros(())
     for inverse_pivot, g, s in zip(equations.factor[:3], equations.gradient, equations.diagonal, strict=True):
         free = own & (inverse_pivot != 0) & (s > 0)

@@ -24,14 +24,14 @@ Cells = list[Float[Array, "1 chunk number slot column"]]
 
 
 class Varied(NamedTuple):
-    """How the linearised equations change with t: what does not stand here does not."""
+    """Derivatives of the linearised equations with respect to t; all other parts are constant."""
 
     sums: ReducedSums
     point_terms: Float[Array, "9 tile column"]
     weights: Cells
 
     def along(self, linear: Linearised) -> Linearised:
-        """The change as a direction of the equations of one device; None for what does not change."""
+        """The change as a direction of the equations of one device; None for constant parts."""
         nothing = jax.tree.map(lambda _: None, linear)
 
         def varied(linear: Linearised) -> list[Any]:
@@ -42,7 +42,7 @@ class Varied(NamedTuple):
 
 
 class GradientOfTiles(NamedTuple):
-    """What the tiles of one device give."""
+    """Result of the tiles of one device."""
 
     reduced: tuple[ReducedCofactors, ReducedCofactors]
     """Q and Q' of images and border."""
@@ -51,7 +51,7 @@ class GradientOfTiles(NamedTuple):
     table: Float[Array, "image number"]
     """Gradient of phi with respect to the table of the images."""
     tiles: Float[Array, "3 tile column"]
-    """The same with respect to the points."""
+    """Gradient of phi with respect to the points."""
     measured: Cells
     weights: Cells
 
@@ -59,8 +59,7 @@ class GradientOfTiles(NamedTuple):
 def gradient_of_tiles(
     linear: Linearised, varied: Varied, k: list[Float[Array, "1 chunk slot column"]]
 ) -> GradientOfTiles:
-    """The gradient of one device; `k`: weights of the leverages of the cells, component by component and part by
-    part."""
+    """The gradient of one device; `k`: weights of the leverages of the cells, per component and part."""
     along, components = varied.along(linear), linear.problem.observations.model.components
     reduced = directional(lambda linear: cofactors_and_inspection(linear)[0], (linear,), (along,))
     halved = [halved_pairs(q, linear.problem) for q in reduced]
@@ -83,7 +82,7 @@ def gradient_of_tiles(
 
 
 def _add_chunk(given: tuple[tuple, tuple], i: int, k: list[Array], c: Array, done: Any) -> Any:
-    """Adds chunk `c` of part `i`. `given`: equations, Q and T, and how they change with t."""
+    """Adds chunk `c` of part `i`. `given`: equations, Q and T, and their derivatives with respect to t."""
     at, change = given
     ((points, points_along), table, tiles), measured, weights = done
     linear: Linearised = at[0]
@@ -96,7 +95,7 @@ def _add_chunk(given: tuple[tuple, tuple], i: int, k: list[Array], c: Array, don
     chunk = chunk_of(linear.problem.tiles[i], c)
     directions = []
     for factor, row, row_along in zip(k, rows, rows_along, strict=True):
-        # phi has 2 y da; the row times the root of 1 + t k has changed by k / 2, so the other half comes here
+        # phi has 2 y da; the row times the root of 1 + t k changes by k / 2, so the other half is added here
         own = lax.dynamic_index_in_dim(factor, c, 0, False)
         directions.append([own * a + 2 * b for a, b in zip(row, row_along, strict=True)])
     by_numbers, by_points, by_measured, by_weights = _row_gradient(linear, chunk, directions)
@@ -115,15 +114,18 @@ def _add_chunk(given: tuple[tuple, tuple], i: int, k: list[Array], c: Array, don
 
 
 def _by_unknowns(e: Eliminated, q: CellProducts) -> Rows:
-    """Q times a row, by the unknowns of the image, of its camera, and by X, Y, Z."""
+    """Q times a row, for the unknowns of the image, of its camera, and for X, Y, Z."""
     factor = point_equations(e.chunk.at_slots(e.stored), e.chunk.used.shape[1]).factor
     x, y, z = q.point
     return [*q.image, *q.camera, *backward(factor, (x, y, z))]
 
 
 def _row_gradient(linear: Linearised, chunk: Chunk, directions: list[Rows]) -> tuple[Rows, Rows, Rows, Rows]:
-    """Gradient of the sum of the rows times a direction each: by the numbers of the image at the slots, by the points,
-    the measured numbers and the weights at the cells."""
+    """Gradient of the sum of the rows, each times a direction.
+
+    It has parts with respect to the numbers of the images at the slots, and to points, measured numbers and weights at
+    the cells.
+    """
     o, shape = linear.problem.observations, chunk.used.shape
     numbers = at_slots(linear.table, chunk.slot_image)
     image, tile = image_scalars(numbers), chunk.first_tile + chunk.tile

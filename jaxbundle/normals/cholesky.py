@@ -1,4 +1,4 @@
-"""Dense Cholesky factorisation in plain lax: the inverse factor of one symmetric matrix, and with it a small block.
+"""Dense Cholesky factorisation in plain lax, as the inverse factor of a symmetric matrix.
 
     A = L L^T,    W = L^-1:        L^-1 r = W r,    L^-T y = W^T y,    A^-1 = W^T W
 
@@ -6,7 +6,7 @@ Eliminating [A | I] by panels of s rows turns the right half into L^-1:
 
     C = L_kk^-1,   P = A_k C^T below the panel,   W_k <- C W_k,   W <- W - P W_k,   A <- A - P P^T
 
-LAPACK is not called: its threads and XLA's fight for the same cores.
+LAPACK is not used: its threads and those of XLA compete for the same cores.
 """
 
 import jax.numpy as jnp
@@ -19,7 +19,7 @@ PANEL = 16
 
 
 def inverse_factor(matrix: Float[Array, "n n"]) -> Float[Array, "n n"]:
-    """L^-1 of a symmetric matrix; NaN from the first row on whose pivot is not positive."""
+    """L^-1 of a symmetric matrix; NaN from the first row with a pivot that is not positive."""
     size = matrix.shape[0]
     if size == 0:
         return matrix
@@ -34,7 +34,7 @@ def inverse_factor(matrix: Float[Array, "n n"]) -> Float[Array, "n n"]:
         inverse = _small(lax.dynamic_slice(left, (first, first), (PANEL, PANEL)))
         below = jnp.where(row >= first + PANEL, lax.dynamic_slice_in_dim(left, first, PANEL, 1) @ inverse.T, 0.0)
         done = inverse @ lax.dynamic_slice_in_dim(right, first, PANEL, 0)
-        # chosen, not multiplied by 0: a NaN must not reach the rows above
+        # selected, not multiplied by 0: a NaN must not reach the rows above
         right = jnp.where(row >= first + PANEL, right - below @ done, right)
         return left - below @ below.T, lax.dynamic_update_slice_in_dim(right, done, first, 0)
 
@@ -42,7 +42,7 @@ def inverse_factor(matrix: Float[Array, "n n"]) -> Float[Array, "n n"]:
 
 
 def _small(matrix: Float[Array, "s s"]) -> Float[Array, "s s"]:
-    """The same for one panel, row by row."""
+    """The inverse factor of one panel, row by row."""
     size = matrix.shape[0]
     row = jnp.arange(size)[:, None]
 
@@ -61,12 +61,12 @@ Inverse = Float[Array, "n n"]
 
 
 class DenseCholesky(AbstractImageFactor[Inverse]):
-    """Dense; every device does the same. The factor is L^-1."""
+    """The dense factorisation, repeated on each device. The factor is L^-1."""
 
     pair: Int[Array, "pair 2"]
-    """Images of each block; the number of images where a block is not in use."""
+    """Images of each block; the number of images for unused blocks."""
     image: Int[Array, " image"]
-    """Numbers of the images."""
+    """Indices of the images."""
 
     def factorise(self, pairs: Float[Array, "pair d d"]) -> Inverse:
         images, d = self.image.shape[0], pairs.shape[1]

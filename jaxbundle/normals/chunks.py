@@ -1,6 +1,6 @@
-"""Chunks of tiles: rays as a dense grid of image slots by points; the loop through them, and the devices they lie on.
+"""Chunks of tiles: rays as a dense grid of image slots by points; the loop over chunks, and their devices.
 
-A cell array is (slot, column), what belongs to a slot is (slot, 1), what belongs to a tile (tile, column). Cell arrays
+A cell array is (slot, column), an array of slots (slot, 1), an array of tiles (tile, column). Cell arrays
 are concatenated along the last axis, which is long.
 """
 
@@ -30,38 +30,38 @@ from jaxbundle.numerics.stored import stored
 Carry = TypeVar("Carry")
 
 EVERYWHERE: Any = PartitionSpec()
-BY_DEVICE: Any = PartitionSpec(AXIS)  # of arrays with a leading device axis
-OF_TILES: Any = PartitionSpec(None, AXIS)  # of arrays (3, tile, column)
+BY_DEVICE: Any = PartitionSpec(AXIS)  # PartitionSpec of arrays with a leading device axis
+OF_TILES: Any = PartitionSpec(None, AXIS)  # PartitionSpec of arrays (3, tile, column)
 
 
 class Chunk(NamedTuple):
-    """One chunk."""
+    """The arrays of one chunk."""
 
     slot_image: Int[Array, " slot"]
     """Image of each slot."""
     first_tile: Int[Array, ""]
     """Number of the first tile on the device."""
     tile: Int[Array, " slot"]
-    """Tile of each slot, counted from the first."""
+    """Tile of each slot, relative to the first tile."""
     measured: Measured
     weights: tuple[Array, ...]
     used: Bool[Array, "slot column"]
-    """Cells with a ray."""
+    """Mask of cells with a ray."""
     max_tiles: int
     """Maximum number of tiles of any chunk."""
 
     @property
     def tile_count(self) -> Int[Array, ""]:
-        """Number of tiles."""
+        """Number of tiles of the device."""
         return self.tile[-1] + 1
 
     @property
     def zero(self) -> Int[Array, ""]:
-        """A 0 that only the running program knows; see `stored`."""
+        """A 0 that is known only at run time; see `stored`."""
         return jnp.minimum(self.first_tile, 0)
 
     def window(self, of_tiles: Array) -> Array:
-        """The chunk's part of an array with one row per tile, with rows of the next chunks behind it."""
+        """The chunk's part of an array with one row per tile, followed by rows of the next chunks."""
         return lax.dynamic_slice_in_dim(of_tiles, self.first_tile, self.max_tiles, 0)
 
     def at_slots(self, of_tiles: Any) -> Array:
@@ -70,7 +70,7 @@ class Chunk(NamedTuple):
 
 
 def chunk_of(tiles: Tiles, c: Array) -> Chunk:
-    """Chunk number `c`."""
+    """The chunk with number `c`."""
     slot_image, tile, measured, weights = (
         lax.dynamic_index_in_dim(x, c, 0, False)
         for x in (tiles.slot_image, tiles.slot_tile, tiles.measured, tiles.weights)
@@ -80,12 +80,12 @@ def chunk_of(tiles: Tiles, c: Array) -> Chunk:
 
 
 def is_used(weights: Any) -> Bool[Array, "*cell"]:
-    """Where there is a ray: one of its residuals has a weight."""
+    """Mask of cells with a ray, which has a residual with a weight."""
     return reduce(or_, (w > 0 for w in weights))
 
 
 def for_chunks(parts: tuple[Tiles, ...], body: Callable[[Tiles, Array, Carry], Carry], carry: Carry) -> Carry:
-    """Runs through all chunks of this device, part after part."""
+    """Loops over all chunks of this device, part after part."""
     for part in parts:
         carry = lax.fori_loop(0, part.chunks, partial(body, part), carry)
     return carry
@@ -94,15 +94,17 @@ def for_chunks(parts: tuple[Tiles, ...], body: Callable[[Tiles, Array, Carry], C
 def image_table(
     unknowns: Unknowns, d_rotation: Float[Array, "9 3 image"] | None, observations: Observations
 ) -> Float[Array, "image number"]:
-    """What every ray takes from its image, one row per image: rotation, centre, interior elements, and behind them, if
-    they are given, the derivatives of the rotation."""
+    """Table of the images with the input of the rays.
+
+    Each row has rotation, centre and interior elements, followed by the derivatives of the rotation, if given.
+    """
     interior = unknowns.interior[:, observations.image_camera]
     derivatives = [] if d_rotation is None else [d_rotation.transpose(1, 0, 2).reshape(27, -1)]
     return jnp.concatenate([unknowns.rotation, unknowns.centre, interior, *derivatives]).T
 
 
 def split_values(numbers: list[Array]) -> Image:
-    """Numbers of an image, without derivatives, as the image equation takes them."""
+    """Numbers of an image without derivatives, as arguments of the image equation."""
     return tuple(numbers[:9]), (numbers[9], numbers[10], numbers[11]), tuple(numbers[12:])
 
 
@@ -114,13 +116,13 @@ def image_scalars(numbers: list[Array]) -> ImageScalars:
 
 
 def at_slots(rows: Float[Array, "row number"], index: Int[Array, " slot"]) -> list[Float[Array, "slot 1"]]:
-    """Numbers of each slot's image, as columns that broadcast against cells."""
+    """Numbers of each slot's image, as columns that broadcast over cells."""
     taken = jnp.take(rows, index, axis=0, mode="clip")
     return [taken[:, k][:, None] for k in range(taken.shape[1])]
 
 
 def points_at_cells(chunk: Chunk, points: list[Array], tile: Array, rotation: Rotation, centre: Vector) -> Vector:
-    """Point of every cell; a cell without ray gets one in front of its camera: its rows are 0, not undefined."""
+    """Point of each cell; a cell without ray has a point in front of its camera, so its rows are 0."""
     ahead = [x - r for x, r in zip(centre, rotation[2::3], strict=True)]
     x, y, z = (
         jnp.where(chunk.used, jnp.take(coordinate, tile, axis=0, mode="clip"), safe)
@@ -130,7 +132,7 @@ def points_at_cells(chunk: Chunk, points: list[Array], tile: Array, rotation: Ro
 
 
 class ChunkRays(NamedTuple):
-    """The rays of a chunk with what they depend on; the columns of `numbers` are those of the table at the slots."""
+    """The rays of a chunk with their input; the columns of `numbers` are those of the table at the slots."""
 
     chunk: Chunk
     model: CameraModel
@@ -139,12 +141,12 @@ class ChunkRays(NamedTuple):
     point: Vector
 
     def equation(self, image: Image, point: Vector) -> Residual:
-        """Residuals of the rays."""
+        """Weighted residuals of the rays of the chunk."""
         return image_equation(self.model, image, point, self.chunk.measured, self.chunk.zero)
 
 
 def chunk_rays(linear: Linearised, part: Tiles, c: Array, table: Float[Array, "image number"]) -> ChunkRays:
-    """The rays of chunk `c`; `table` begins with the values of the images."""
+    """The rays of chunk `c`; `table` starts with the values of the images."""
     chunk = chunk_of(part, c)
     numbers = at_slots(table, chunk.slot_image)
     image = split_values(numbers[: linear.values.shape[1]])
@@ -154,7 +156,7 @@ def chunk_rays(linear: Linearised, part: Tiles, c: Array, table: Float[Array, "i
 
 
 def sum_by_tile(cells: Sequence[Any], chunk: Chunk) -> list[Array]:
-    """Sums of several cell arrays over the slots of every tile: (tile, column) each."""
+    """Sums of several cell arrays over the slots of each tile: (tile, column) each."""
     n = cells[0].shape[1]
     joined = jnp.concatenate(stored(cells, chunk.zero), 1)
     zero = jnp.zeros((chunk.max_tiles, joined.shape[1]))
@@ -171,13 +173,13 @@ def in_tiles(rows: list[Array], chunk: Chunk, of_tiles: Float[Array, "3 tile col
 def over_devices(
     kernel: Callable[..., Any], linear: Linearised, out: Any, others: tuple = (), parts: tuple = ()
 ) -> Any:
-    """The value of a kernel, each device with its own tiles.
+    """Runs a kernel on all devices, each with its tiles.
 
     Args:
         kernel: function of a device's `Linearised` and of `others`.
-        out: how its value lies on the devices, as PartitionSpecs.
+        out: distribution of its value over the devices, as PartitionSpecs.
         others: further arguments.
-        parts: how they lie on the devices; on all of them if it is empty.
+        parts: distribution of these arguments; replicated on all devices if empty.
     """
     if linear.problem.devices == 1:
         return kernel(_own(linear, None), *others)
@@ -191,19 +193,19 @@ def over_devices(
 
 
 def _own(linear: Linearised, axis: str | None) -> Linearised:
-    """The equations as one device has them: the tiles without the leading device axis, of length 1 there."""
+    """The equations of one device: tiles without the leading device axis, which has length 1 there."""
     tiles = tuple(_by_device(t, lambda x: x[0], lambda pair: pair) for t in linear.problem.tiles)
     problem = dataclasses.replace(linear.problem, tiles=tiles)
     return dataclasses.replace(linear, problem=problem, axis=axis)
 
 
 def everywhere(tree: Any) -> Any:
-    """PartitionSpecs of what all devices have."""
+    """PartitionSpecs of replicated values."""
     return jax.tree.map(lambda _: EVERYWHERE, tree)
 
 
 def linearised_parts(linear: Linearised) -> Linearised:
-    """How the equations lie on the devices."""
+    """Distribution of the equations over the devices."""
     parted = [OF_TILES, OF_TILES, problem_parts(linear.problem)]
     parted += [] if linear.point_terms is None else [OF_TILES]
 
@@ -215,18 +217,18 @@ def linearised_parts(linear: Linearised) -> Linearised:
 
 
 def unknown_parts(unknowns: OrderedUnknowns) -> OrderedUnknowns:
-    """How the unknowns lie on the devices."""
+    """Distribution of the unknowns over the devices."""
     return OrderedUnknowns(everywhere(unknowns.images), OF_TILES)
 
 
 def problem_parts(p: Problem) -> Problem:
-    """How the observations lie on the devices."""
+    """Distribution of the observations over the devices."""
     tiles = tuple(_by_device(t, lambda _: BY_DEVICE, lambda _: EVERYWHERE) for t in p.tiles)
     return eqx.tree_at(lambda p: p.tiles, everywhere(p), tiles)
 
 
 def _by_device(tiles: Tiles, own: Callable, common: Callable) -> Tiles:
-    """`own` of what every device has for itself, `common` of the list of pairs, which all have in common."""
+    """PartitionSpecs: `own` for separate parts of each device, `common` for the list of pairs."""
     mapped = jax.tree.map(own, tiles)
     if tiles.pairs is None:
         return mapped

@@ -1,14 +1,15 @@
 """Transposed derivative of cofactors and leverages with respect to unknowns and observations.
 
-For a symmetric W in the blocks that are computed and weights k of the leverages, with the rows a of A,
+For a symmetric W in the computed blocks and weights k of the leverages, with the rows a of A,
 
     phi = <W, Q> + sum of k h  =  d/dt log det N(t) at t = 0,        N(t) = A^T (I + t diag k) A + t W
 
-The gradient of log det N is 2 Q a for every row; so the gradient of phi is
+The gradient of log det N is 2 Q a for each row; so the gradient of phi is
 
     sum over the rows of  2 y da,        y = k Q a + Q' a,        Q' = -Q N' Q
 
-Q' a is a forward derivative, along t, of what gives the leverages: Q is never formed, nor anything of the size of A.
+Q' a is a forward derivative along t of the computation of the leverages: neither Q nor a matrix of the size of A is
+formed.
 """
 
 import dataclasses
@@ -29,11 +30,11 @@ from jaxbundle.normals.problem import Linearised, OrderedUnknowns, Problem
 from jaxbundle.normals.step import linearise
 from jaxbundle.numerics.linear_map import directional
 
-Rows = list[list[Array]]  # of every group, by every touched entity
+Rows = list[list[Array]]  # for each group and each touched entity
 
 
 class CofactorWeights(NamedTuple):
-    """W in the blocks of images, border and eliminated points, and k, as `Cofactors` lists the leverages."""
+    """W in the blocks of images, border and eliminated points, and k, in the structure of `Cofactors`."""
 
     images: Float[Array, "image d d"]
     border: Float[Array, "border border"]
@@ -42,7 +43,7 @@ class CofactorWeights(NamedTuple):
 
 
 def cofactor_gradient(unknowns: OrderedUnknowns, p: Problem, w: CofactorWeights) -> tuple[OrderedUnknowns, Problem]:
-    """Gradient of phi by the unknowns and by all numbers of the observations; None in place of what is not a number."""
+    """Gradient of phi with respect to the unknowns and all numbers of the observations; None for other fields."""
     count = p.observations.model.components * len(p.tiles)
     cells, others = w.leverages[:count], w.leverages[count:]
     problem_along = _problem_along(p, cells, others)
@@ -64,7 +65,7 @@ def cofactor_gradient(unknowns: OrderedUnknowns, p: Problem, w: CofactorWeights)
 
 
 def _problem_along(p: Problem, cells: list[Array], others: list[Array]) -> Problem:
-    """How the observations change with t: the square roots of the weights by k / 2 of themselves."""
+    """Derivatives of the observations with respect to t: the square roots of the weights change by the factor k / 2."""
     nothing: Problem = jax.tree.map(lambda x: jnp.zeros_like(x) if eqx.is_inexact_array(x) else None, p)
     components = p.observations.model.components
     of_tiles = [
@@ -87,7 +88,10 @@ def _problem_along(p: Problem, cells: list[Array], others: list[Array]) -> Probl
 def _with_weights(
     linear: Linearised, along: Linearised, w: CofactorWeights, of_tiles: list[Array]
 ) -> tuple[Linearised, Varied]:
-    """The linearised equations with a place for W, and how they change with t; `of_tiles`: weights of the tiles."""
+    """The linearised equations with blocks for W, and their derivatives with respect to t.
+
+    `of_tiles`: weights of the tiles.
+    """
     images, border = (0.5 * (m + m.swapaxes(-1, -2)) for m in (w.images, w.border))
     sums = along.sums._replace(diagonal=along.sums.diagonal + images, border=along.sums.border + border)
     nothing = jnp.zeros((9, *linear.unknowns.tiles.shape[1:]))
@@ -97,14 +101,14 @@ def _with_weights(
 
 
 def _of_tiles(linear: Linearised, varied: Varied, cells: list[Array]) -> GradientOfTiles:
-    """The tiles of all devices."""
+    """The gradient of the tiles of all devices."""
     out: Any = EVERYWHERE, BY_DEVICE, EVERYWHERE, OF_TILES, BY_DEVICE, BY_DEVICE
     parts = Varied(everywhere(varied.sums), OF_TILES, BY_DEVICE), BY_DEVICE
     return over_devices(gradient_of_tiles, linear, GradientOfTiles(*out), (varied, cells), parts)
 
 
 def _touched(unknowns: OrderedUnknowns, p: Problem) -> list[tuple[list[Touched], Array | None]]:
-    """Rows of everything that is not a ray of an eliminated point, and the blocks of its pairs of images."""
+    """Rows of all observations except rays of eliminated points, and the blocks of their pairs of images."""
     o, images, touched = p.observations, unknowns.images, []
     d_rotation = attitude_derivatives(images.rotation, o.in_angles, o.system)
     if p.border_rays:
@@ -116,12 +120,12 @@ def _touched(unknowns: OrderedUnknowns, p: Problem) -> list[tuple[list[Touched],
 
 
 def _rows(unknowns: OrderedUnknowns, p: Problem) -> Rows:
-    """The rows alone; those of eliminated points among them."""
+    """Only the rows, including those of eliminated points."""
     return [[a.rows for a in touched] for touched, _ in _touched(unknowns, p)]
 
 
 def _directions(linear: Linearised, problem_along: Problem, found: GradientOfTiles, k: list[Array]) -> Rows:
-    """2 y of these rows."""
+    """The directions 2 y of these rows."""
     unknowns, p = linear.unknowns, linear.problem
 
     def products(p: Problem, q: ReducedCofactors, points: Float[Array, "tile number"]) -> Rows:
@@ -139,7 +143,7 @@ def _directions(linear: Linearised, problem_along: Problem, found: GradientOfTil
     here, along = directional(products, (p, q, points), (problem_along, q_along, points_along))
     components = p.observations.model.components
     factors = [jnp.stack(k[:components]), *k[components:]] if p.border_rays else k
-    # the rows times the root of 1 + t k have changed by k / 2: the other half comes here
+    # the rows times the root of 1 + t k change by k / 2: the other half is added here
     return [
         [factor[:, None] * a + 2 * b for a, b in zip(rows, rows_along, strict=True)]
         for factor, rows, rows_along in zip(factors, here, along, strict=True)

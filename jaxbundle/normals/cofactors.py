@@ -1,10 +1,10 @@
 """Cofactors of the unknowns at the minimum: blocks of N^-1 from the factors of the elimination.
 
-    Q_rr = (U - E E^T)^-1                                     images and border, where there are blocks
+    Q_rr = (U - E E^T)^-1                                     images and border, for existing blocks
     Q_pp = L^-T (I + E^T Q_rr E) L^-1                         an eliminated point, 3 x 3
 
-With T the tile's part of Q_rr below the diagonal and half of it on the diagonal, G = Q_rr E = (T + T^T) E: the images
-of a tile that share no point have no block, and need none.
+With T the tile's part of Q_rr below the diagonal and half of it on the diagonal, G = Q_rr E = (T + T^T) E: images of
+a tile without a common point have no block, and need none.
 """
 
 from typing import Any, NamedTuple
@@ -35,27 +35,27 @@ from jaxbundle.numerics.devices import AXIS
 
 
 class Cofactors(NamedTuple):
-    """Cofactors in the order of elimination, 0 for what is fixed."""
+    """Cofactors in elimination order, 0 for fixed unknowns."""
 
     images: Float[Array, "image d d"]
     coupling: Float[Array, "image d border"]
     border: Float[Array, "border border"]
     points: Float[Array, "3 3 tile column"]
     inspection: Inspection
-    """What the equations tell of the end point."""
+    """Inspection of the end point."""
     leverages: list[Array]
-    """Leverages of all observations, as `weighted_residuals` lists them."""
+    """Leverages of all observations, in the structure of `weighted_residuals`."""
 
 
 class _OfTiles(NamedTuple):
-    """What the tiles of one device give: points' cofactors and leverages of the cells."""
+    """Result of the tiles of one device: cofactors of points and leverages of cells."""
 
     points: Float[Array, "3 3 tile column"]
     leverages: list[Array]
 
 
 def cofactors(unknowns: OrderedUnknowns, p: Problem) -> Cofactors:
-    """Cofactors of the undamped normal equations; not finite where these are singular."""
+    """Cofactors of the undamped normal equations; not finite if these are singular."""
     linear = linearise(unknowns, p)
     points: Any = PartitionSpec(None, None, AXIS)
     q, found, of_tiles = over_devices(_on_device, linear, (EVERYWHERE, INSPECTION_PARTS, _OfTiles(points, BY_DEVICE)))
@@ -70,7 +70,7 @@ def _on_device(linear: Linearised) -> tuple[ReducedCofactors, Inspection, _OfTil
 
 
 def cofactors_and_inspection(linear: Linearised) -> tuple[ReducedCofactors, Inspection]:
-    """Cofactors of images and border, and what the equations tell."""
+    """Cofactors of images and border, and the inspection of the equations."""
     zero = jnp.zeros(())
     p = linear.problem
     rays, stored = eliminate(linear, zero)
@@ -102,14 +102,14 @@ def _of_tiles(linear: Linearised, q: ReducedCofactors) -> _OfTiles:
 
 
 def halved_pairs(q: ReducedCofactors, p: Problem) -> Float[Array, "pair d d"]:
-    """T of every pair of images."""
+    """The matrix T of each pair of images."""
     return q.pairs.at[p.diagonal_pair].multiply(0.5).at[-1].set(0.0)
 
 
 def cofactors_of_chunk(
     linear: Linearised, part: Tiles, c: Array, q: ReducedCofactors, halved: Float[Array, "pair d d"]
 ) -> tuple[Eliminated, Float[Array, "tile 3 3 n"], list[CellProducts]]:
-    """The chunk eliminated again, C of its points, and Q times the rows of its cells."""
+    """The chunk after a repeated elimination, C of its points, and Q times the rows of its cells."""
     p, n = linear.problem, linear.width
     d, inner = p.layout.image, p.layout.first_parameter
     e = eliminate_chunk(linear, part, c, jnp.zeros(()))
@@ -137,12 +137,12 @@ def cofactors_of_chunk(
 def _contracted(
     left: Float[Array, "entity row 3 n"], right: Float[Array, "entity row 3 n"]
 ) -> Float[Array, "entity 3 3 n"]:
-    """Sum over the rows of the products of every pair of coordinates, point by point."""
+    """Sums over the rows of the products of all pairs of coordinates, for each point."""
     return jnp.stack([jnp.sum(left[:, :, k, None] * right, 1) for k in range(3)], 1)
 
 
 def point_cofactors(e: Eliminated, c: Float[Array, "tile 3 3 n"]) -> Float[Array, "tile 3 3 n"]:
-    """L^-T C L^-1 of the points of a chunk."""
+    """The product L^-T C L^-1 for the points of a chunk."""
     f = point_equations(e.stored, c.shape[3]).factor
     half = [backward(f, (c[:, 0, j], c[:, 1, j], c[:, 2, j])) for j in range(3)]  # columns of L^-T C
     rows = [backward(f, (half[0][i], half[1][i], half[2][i])) for i in range(3)]

@@ -1,7 +1,7 @@
-"""Weighted residuals of all observations in the order of elimination, and v^T P v / 2, which can be differentiated.
+"""Weighted residuals of all observations in elimination order, and the differentiable cost v^T P v / 2.
 
-The sum runs through the tiles chunk by chunk. A derivative, forward or transposed and of any order, computes a chunk
-again instead of keeping what it needs of every ray, and sums on each device the chunks that are its own.
+The sum is computed chunk by chunk. A derivative, forward or transposed and of any order, recomputes a chunk instead
+of storing intermediate values of all rays, and each device sums its chunks.
 """
 
 from typing import NamedTuple
@@ -48,7 +48,7 @@ def cost(unknowns: OrderedUnknowns, p: Problem) -> Float[Array, ""]:
 def _cost_of_tiles(
     p: Problem, values: Float[Array, "image number"], points: Float[Array, "3 tile column"]
 ) -> Float[Array, ""]:
-    """v^T P v / 2 of the rays of one device, whose tiles have a leading device axis of length 1."""
+    """The cost v^T P v / 2 of the rays of one device, whose tiles have a leading device axis of length 1."""
     total = jnp.zeros(())
 
     @jax.checkpoint
@@ -68,7 +68,8 @@ def _cost_of_tiles(
         slot_image, slot_tile, measured, weights = (
             x[0] for x in (part.slot_image, part.slot_tile, part.measured, part.weights)
         )
-        # what a chunk needs is laid out before: a derivative by all images or points a chunk would be summed each time
+        # the input of all chunks is arranged before: derivatives of each chunk with respect to all images would be
+        # summed each time
         window = jnp.moveaxis(points.at[:, _tiles_of_chunks(slot_tile, part)].get(mode="clip"), 0, 1)
         chunks = values[slot_image], window, slot_tile - slot_tile[:, :1], measured, weights
         total, _ = lax.scan(lambda sum_, chunk: (sum_ + of_chunk(*chunk), None), total, chunks)
@@ -80,7 +81,7 @@ def _tiles_of_chunks(slot_tile: Int[Array, "chunk slot"], part: Tiles) -> Int[Ar
 
 
 def other_residuals(unknowns: OrderedUnknowns, p: Problem) -> list[Array]:
-    """Weighted residuals of everything but the cells: rays of border points, and groups of other observations."""
+    """Weighted residuals of all observations except cells: rays of border points, and groups of other observations."""
     residuals, rays, o = [], p.border_rays, p.observations
     if rays:
         u = unknowns.images
@@ -95,8 +96,10 @@ def other_residuals(unknowns: OrderedUnknowns, p: Problem) -> list[Array]:
 
 
 def weighted_residuals(unknowns: OrderedUnknowns, p: Problem) -> list[Array]:
-    """Weighted residuals of all observations; cells first, one array per component and part, 0 where there is no
-    ray."""
+    """Weighted residuals of all observations.
+
+    Cells come first, one array per component and part, 0 without ray.
+    """
     values, cells = image_table(unknowns.images, None, p.observations), []
     first = unknowns.tiles.shape[1] // p.devices * jnp.arange(p.devices)[:, None, None]
     for part in p.tiles:
@@ -108,12 +111,12 @@ def weighted_residuals(unknowns: OrderedUnknowns, p: Problem) -> list[Array]:
 
 
 def ray_arrays(p: Problem) -> int:
-    """How many of the arrays of `weighted_residuals` belong to rays; the others belong to the groups."""
+    """Number of arrays of `weighted_residuals` that belong to rays; the others belong to the groups."""
     return p.observations.model.components * (len(p.tiles) + bool(p.border_rays))
 
 
 def rounding_noise(p: Problem) -> Float[Array, ""]:
-    """v^T P v / 2 of residuals that are nothing but rounding: a few operations on the measured numbers."""
+    """The cost v^T P v / 2 of rounding errors: a few operations on the measured numbers."""
     eps = 4 * jnp.finfo(p.border_rays.measured.dtype).eps
     rays = [(t.measured, t.weights, 2) for t in p.tiles] + [(p.border_rays.measured, p.border_rays.weights, 0)]
     squares = [jnp.sum((lax.slice_in_dim(m, 0, w.shape[axis], axis=axis) * w) ** 2) for m, w, axis in rays]
@@ -121,7 +124,7 @@ def rounding_noise(p: Problem) -> Float[Array, ""]:
 
 
 class _Rays(NamedTuple):
-    """Rays of any arrangement, with what they depend on."""
+    """Rays in any arrangement, with their input."""
 
     image: Image
     points: tuple[Array, ...]
@@ -130,7 +133,7 @@ class _Rays(NamedTuple):
 
 
 def _residuals(o: Observations, rays: _Rays, zero: Int[Array, ""] | None = None) -> list[Array]:
-    """Weighted residuals of rays. One without weight gets a point in front of its camera: derivatives stay finite."""
+    """Weighted residuals of rays. A ray without weight has a point in front of its camera: derivatives stay finite."""
     rotation, centre, _ = rays.image
     ahead, used = [x - r for x, r in zip(centre, rotation[2::3], strict=True)], is_used(rays.weights)
     x, y, z = (jnp.where(used, x, a) for x, a in zip(rays.points, ahead, strict=True))

@@ -3,12 +3,12 @@
     [ U    W ] [dt]     [g_t]         V = L L^T   3 x 3 per point
     [ W^T  V ] [dX] = - [g_X]         E = W L^-T: one block of rows per image, z = L^-1 g_X
 
-    (U + lambda D_t - E E^T) dt = -g_t + E z            D = diag(N), Marquardt's scaling; V carries lambda D_X
+    (U + lambda D_t - E E^T) dt = -g_t + E z            D = diag(N), Marquardt's scaling; V includes lambda D_X
 
-The Jacobian is never stored: a chunk of tiles is linearised, eliminated and forgotten. With A and B the rows of a ray,
-H = L^-1 B^T and y = H^T z, one product per slot of [A; a; v; y] with itself gives U, the coupling to the border, both
-gradients and v^T P v; one product per tile of its E with itself gives the blocks of E E^T. Shared interior elements,
-`a`, form the border: E_b = sum of the tile's rays.
+The Jacobian is never stored: a chunk of tiles is linearised and eliminated, and then discarded. With A and B the rows
+of a ray, H = L^-1 B^T and y = H^T z, one product per slot of [A; a; v; y] with itself gives U, the coupling to the
+border, both gradients and v^T P v; one product per tile of its E with itself gives the blocks of E E^T. Shared interior
+elements, `a`, form the border: E_b = sum of the tile's rays.
 """
 
 from typing import Any, NamedTuple
@@ -34,18 +34,18 @@ from jaxbundle.normals.rows import ImageScalars, Ray, RayCurvature, ray_curvatur
 
 
 class RaySums(NamedTuple):
-    """Sums over the rays of every image, and the blocks of E E^T."""
+    """Sums over the rays of each image, and the blocks of E E^T."""
 
     pairs: Float[Array, "pair d d"]
-    """E E^T, lower blocks: the image of higher rank gives the rows; the last block takes what belongs nowhere."""
+    """E E^T, lower blocks: rows belong to the image with the higher rank; the last block is a dummy."""
     image: Float[Array, "image m m"]
-    """[A; a; v; y] with itself."""
+    """Product of [A; a; v; y] with itself."""
     coupling: Float[Array, "image d border"]
     """E E_b^T."""
     border: Float[Array, "border border"]
     """E_b E_b^T."""
     rotation: Float[Array, "image 9"] | None
-    """Gradient with respect to the rotation matrix, where second derivatives are wanted."""
+    """Gradient with respect to the rotation matrix, if second derivatives are requested."""
 
 
 class Eliminated(NamedTuple):
@@ -53,12 +53,12 @@ class Eliminated(NamedTuple):
 
     chunk: Chunk
     image_rows: list[list[Array]]
-    """A and a of every cell."""
+    """A and a of each cell."""
     h: list[tuple[Array, Array, Array]]
-    """H of every cell."""
+    """H of each cell."""
     residual: tuple[Array, ...]
     z: list[Array]
-    """z at the slots."""
+    """The vector z at the slots."""
     stored: Float[Array, "tile number"]
     """See `point_equations`."""
     curvature: RayCurvature | None
@@ -66,7 +66,7 @@ class Eliminated(NamedTuple):
 
 
 def broadcast(image: ImageScalars, like: Array) -> ImageScalars:
-    """Interior on every cell: what is differentiated must not be summed over the columns."""
+    """Interior elements at each cell: derivatives must not be summed over the columns."""
     return image._replace(interior=tuple(jnp.broadcast_to(s, like.shape) for s in image.interior))
 
 
@@ -103,7 +103,7 @@ def eliminate_chunk(linear: Linearised, part: Tiles, c: Array, damping: Array) -
 
 
 def coupling_rows(e: Eliminated, first: int, count: int) -> Array:
-    """E of some unknowns of every slot: (slot, count * 3 n), by unknown, coordinate, column."""
+    """E of some unknowns of each slot: (slot, count * 3 n), by unknown, coordinate, column."""
     unknowns, components = range(first, first + count), list(zip(e.image_rows, e.h, strict=True))
     blocks = [sum(a[u] * h[k] for a, h in components) for u in unknowns for k in range(3)]
     if e.curvature is not None:
@@ -113,7 +113,7 @@ def coupling_rows(e: Eliminated, first: int, count: int) -> Array:
 
 
 def _image_products(e: Eliminated) -> Array:
-    """[A; a; v; y] with itself, (slot, m, m)."""
+    """The product of [A; a; v; y] with itself, (slot, m, m)."""
     y = [sum(h[k] * e.z[k] for k in range(3)) for h in e.h]
     rows = [*zip(*e.image_rows, strict=True), e.residual, y]
     joined = jnp.concatenate(lax.optimization_barrier([x for row in rows for x in row]), 1)
@@ -122,8 +122,10 @@ def _image_products(e: Eliminated) -> Array:
 
 
 def _curvature_sums(curvature: RayCurvature, m: int) -> tuple[Float[Array, "slot m m"], Float[Array, "slot 9"]]:
-    """Second derivatives by the unknowns of every image, as `_image_products` has them, and the gradient with respect
-    to the rotation matrix."""
+    """Second derivatives with respect to the unknowns of each image.
+
+    They have the structure of `_image_products`; the gradient with respect to the rotation matrix is also returned.
+    """
     k = len(curvature.image)
     row, column = np.tril_indices(k)
     place = np.zeros((k, k), int)
@@ -133,7 +135,7 @@ def _curvature_sums(curvature: RayCurvature, m: int) -> tuple[Float[Array, "slot
 
 
 def border_rows(e: Eliminated, p: Problem) -> Float[Array, "tile border column"]:
-    """E_b of every tile: the rows of its rays summed by camera."""
+    """The matrix E_b of each tile: the rows of its rays summed for each camera."""
     layout = p.layout
     rows = coupling_rows(e, layout.image, layout.shared)
     camera = p.observations.image_camera[e.chunk.slot_image]
@@ -145,7 +147,7 @@ def border_rows(e: Eliminated, p: Problem) -> Float[Array, "tile border column"]
 
 
 def eliminate(linear: Linearised, damping: Array) -> tuple[RaySums, Float[Array, "tile number"]]:
-    """All chunks of one device: sums for the reduced equations, and what is stored of every point."""
+    """All chunks of one device: sums for the reduced equations, and stored values of each point."""
     p = linear.problem
     d, images = p.layout.image, linear.table.shape[0]
     m, border = d + p.layout.shared + 2, p.layout.first_parameter

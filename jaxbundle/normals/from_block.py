@@ -1,6 +1,6 @@
-"""Where numpy and JAX meet: a block and its plan become a `Problem`, unknowns are put in order and back.
+"""From numpy to JAX: makes a `Problem` of a block and its plan, and reorders unknowns in both directions.
 
-Concrete values are laid out by numpy, which compiles nothing; traced ones by JAX. Everything behind this file is JAX.
+Concrete values are arranged by numpy without compilation, traced ones by JAX. Later modules use only JAX.
 """
 
 from functools import partial
@@ -26,7 +26,7 @@ from jaxbundle.numerics.shapes import grid_size
 
 
 def problem(plan: EliminationPlan, block: Block) -> Problem:
-    """The observations of a block in the order of elimination."""
+    """The observations of a block in elimination order."""
     return Problem(
         _observations(plan, block),
         tuple(_tiles(part, block, plan.devices) for part in plan.parts),
@@ -40,7 +40,7 @@ def problem(plan: EliminationPlan, block: Block) -> Problem:
 
 
 def to_elimination_order(plan: EliminationPlan, unknowns: Unknowns) -> OrderedUnknowns:
-    """The unknowns of a block in the order of elimination."""
+    """The unknowns of a block in elimination order."""
     o, tile_points = plan.order, plan.tile_points
     rotation = spread(unknowns.rotation, o.image, o.images, np.eye(3).reshape(9, 1))
     points = spread(unknowns.points, o.point, o.points, 0.0)
@@ -71,8 +71,10 @@ def to_block_order(plan: EliminationPlan, ordered: OrderedUnknowns) -> Unknowns:
 
 
 def rays_to_block_order(plan: EliminationPlan, components: int, values: list[Array]) -> Float[Array, "ray component"]:
-    """What belongs to the rays, one array per component and part for the cells, then one per component for the rays of
-    border points, in the order of the block."""
+    """Values of the rays in the order of the block.
+
+    Input: one array per component and part for the cells, then one per component for the rays of border points.
+    """
     host = [on_host(x) for x in values]
     xp = np if is_concrete(host) else jnp
     columns = [xp.concatenate([x.ravel() for x in host[k::components]])[plan.cell_of_ray] for k in range(components)]
@@ -80,7 +82,7 @@ def rays_to_block_order(plan: EliminationPlan, components: int, values: list[Arr
 
 
 class BlockVectors(NamedTuple):
-    """Vectors by the elements of a block; angles are those of the corrections."""
+    """Vectors of the elements of a block; angles are those of the corrections."""
 
     exterior: Float[np.ndarray, "vector image 6"]
     interior: Float[np.ndarray, "vector camera column"]
@@ -89,7 +91,7 @@ class BlockVectors(NamedTuple):
 
 
 def ordered_vectors(plan: EliminationPlan, structure: Structure, vectors: BlockVectors) -> NormalVector:
-    """A `NormalVector` of numpy arrays: vectors of the block in the order of elimination; 0 for what is fixed."""
+    """A `NormalVector` of numpy arrays: vectors of the block in elimination order; 0 for fixed elements."""
     o, layout, count = plan.order, plan.layout, len(vectors.exterior)
     interior = vectors.interior * structure.interior_free[:, list(structure.interior_columns)]
     images, border = np.zeros((count, o.images, layout.image)), np.zeros((count, layout.border))
@@ -108,7 +110,7 @@ def ordered_vectors(plan: EliminationPlan, structure: Structure, vectors: BlockV
 
 
 def spread(values: Any, index: Int[np.ndarray, " entity"], size: int, filling: bool | float | np.ndarray) -> Any:
-    """Columns of `values` put to their positions among `size`; the other positions hold `filling`."""
+    """Puts columns of `values` at their positions among `size`; the other positions contain `filling`."""
     values = on_host(values)
     xp = np if is_concrete(values) else jnp
     source = np.full(size, values.shape[1])
@@ -118,15 +120,15 @@ def spread(values: Any, index: Int[np.ndarray, " entity"], size: int, filling: b
 
 
 def _padded(values: Any, size: int) -> Any:
-    """Numbers followed by zeros."""
+    """Numbers padded with zeros."""
     values = on_host(values)
     return array_module(values).concatenate([values, np.zeros(size - len(values), values.dtype)])
 
 
 def _observations(plan: EliminationPlan, block: Block) -> Observations:
-    """Everything but the rays: groups, what is free, and the image model."""
+    """All parts except the rays: groups, masks of free unknowns, and the image model."""
     o, structure, in_angles = plan.order, block.structure, corrected_in_angles(block.structure)
-    image_camera = np.arange(o.images)  # where every image has its own camera, so have the dummies
+    image_camera = np.arange(o.images)  # if each image has its own camera, dummy images have one too
     if plan.layout.cameras:
         image_camera = np.zeros(o.images, int)
         image_camera[o.image] = o.camera[structure.image_camera]
@@ -162,7 +164,7 @@ def _in_angles(in_angles: Bool[np.ndarray, " image"] | None, plan: EliminationPl
 
 
 def reduced_solver(reduced: ReducedPlan) -> ReducedSolver:
-    """The factorisation that the plan chose, with its lists."""
+    """The factorisation selected by the plan, with its lists."""
     pair = on_device(reduced.padded_pairs)
     if reduced.panels is None:
         return ReducedSolver(pair, DenseCholesky(pair, on_device(np.arange(reduced.images), np.int32)))
@@ -203,7 +205,7 @@ def _border_rays(plan: EliminationPlan, block: Block) -> BorderRays:
 
 
 def _to_cells(values: Any, cell: Int[np.ndarray, "device chunk slot column"], rays: Int[np.ndarray, " of_part"]) -> Any:
-    """A number of every ray at its cell, 0 where there is none; `cell`: which of the part's `rays` it has, or -1."""
+    """A number of each ray at its cell, 0 without ray; `cell`: index of the ray in the part, or -1."""
     if is_concrete(values):
         return np.append(values[rays], 0.0)[cell]
     return _gathered(values, np.append(rays, len(values))[cell])
@@ -216,7 +218,7 @@ def _gathered(values: Array, ray: Int[np.ndarray, "device chunk slot column"]) -
 
 @_gathered.defjvp
 def _gathered_jvp(ray: np.ndarray, primals: tuple, tangents: tuple) -> tuple[Array, Array]:
-    # written as a scatter, because the transposed one of that is a gather, which is cheap
+    # a scatter, because its transpose is a gather, which is fast
     flat, place = ray.ravel(), np.full(len(primals[0]), ray.size)
     used = np.flatnonzero(flat < len(place))
     place[flat[used]] = used

@@ -1,12 +1,12 @@
-"""What one undamped linearisation tells of an end point: whether it is a minimum, and which unknowns it determines.
+"""Inspection of an end point by one undamped linearisation: is it a minimum, and which unknowns are determined?
 
     steepness     max |J_k^T P v| / |J_k|      over all unknowns k: 0 at a minimum, at most |v|
-    pivots        the share of its own normal equation that the unknowns before it cannot imitate: 0 if undetermined
+    pivots        the share of its normal equation that is independent of the unknowns before it: 0 if undetermined
 
-Where the reduced equations are not formed there is no factorisation. There conjugate gradients solve S x = b for a
-right-hand side of random signs: x is one step of inverse iteration and so leans to the direction that the observations
-determine least; a search direction without curvature shows itself before. What the right-hand side holds less than
-`TOLERANCE` of is not found, and of several directions one mixture.
+If the reduced equations are not formed, there is no factorisation. Then conjugate gradients solve S x = b for a
+right-hand side of random signs: x is one step of inverse iteration, so the weakest direction dominates; a search
+direction without curvature is detected earlier. Directions with a share below `TOLERANCE` in the right-hand side are
+not found, and several directions appear as one mixture.
 """
 
 from typing import NamedTuple
@@ -26,28 +26,28 @@ from jaxbundle.normals.reduced_system import ReducedFactor, ReducedSystem, facto
 from jaxbundle.normals.step import Reduced, linearise, reduced_steepness, reduced_system
 from jaxbundle.numerics.conjugate_gradients import softest_direction
 
-TOLERANCE = 1e-6  # of the right-hand side of the inverse iteration
-WEAKEST_SHARE = 1e-11  # of its own normal equation: below, rounding decides about the unknown
+TOLERANCE = 1e-6  # share of the right-hand side of the inverse iteration
+WEAKEST_SHARE = 1e-11  # share of its normal equation: below this, rounding determines the unknown
 
 
 class Softest(NamedTuple):
-    """A direction of images and border, and its share of the diagonal of N: x^T S x / x^T D x."""
+    """A direction of images and border, and its quotient x^T S x / x^T D x with the diagonal D of N."""
 
     direction: ReducedVector
     share: Float[Array, ""]
 
 
 class Inspection(NamedTuple):
-    """Shares of the pivots in the order of elimination, 1 for what is fixed."""
+    """Shares of the pivots in elimination order, 1 for fixed unknowns."""
 
     image_pivots: Float[Array, "image d"]
     border_pivots: Float[Array, " border"]
     point_pivots: Float[Array, "tile column"]
     system: ReducedSystem
-    """For the question why a pivot failed."""
+    """The equations, for finding the cause of a failed pivot."""
     steepness: Float[Array, ""]
     softest: Softest | None
-    """Where the reduced equations are not formed; there the pivots are those of the preconditioner."""
+    """Only if the reduced equations are not formed; then the pivots are those of the preconditioner."""
 
 
 INSPECTION_PARTS = Inspection(EVERYWHERE, EVERYWHERE, BY_DEVICE, EVERYWHERE, EVERYWHERE, EVERYWHERE)
@@ -77,7 +77,7 @@ def _eliminated(linear: Linearised) -> tuple[Reduced, Float[Array, "tile number"
 def inspected(
     linear: Linearised, reduced: Reduced, factor: ReducedFactor, stored: Float[Array, "tile number"]
 ) -> Inspection:
-    """The inspection from what an elimination has left; `stored`: equations of the points of this device."""
+    """The inspection from the results of an elimination; `stored`: equations of the points of this device."""
     points = point_equations(stored, linear.width)
     pivots, steepness = jnp.ones_like(points.gradient[0]), jnp.zeros(())
     for inverse_pivot, gradient, diagonal in zip(points.factor[:3], points.gradient, points.diagonal, strict=True):
@@ -85,7 +85,7 @@ def inspected(
         own = jnp.where(free, diagonal, 1.0)
         pivots = jnp.minimum(pivots, jnp.where(free, 1 / jnp.where(free, inverse_pivot**2 * own, 1.0), 1.0))
         steepness = jnp.maximum(steepness, jnp.max(jnp.where(free, gradient**2 / own, 0.0), initial=0.0))
-    # a verdict, not a result; the maximum over devices has no derivative
+    # a check, not a result; the maximum over devices has no derivative
     steepness = linear.maximum(lax.stop_gradient(steepness))
     return Inspection(
         factor.pivots,
@@ -98,7 +98,7 @@ def inspected(
 
 
 def reduced_products(unknowns: OrderedUnknowns, p: Problem, vectors: ReducedVector) -> ReducedVector:
-    """S x for every vector of the leading axis, where the reduced equations are not formed."""
+    """The products S x for all vectors of the leading axis, if the reduced equations are not formed."""
     return over_devices(_products, linearise(unknowns, p), EVERYWHERE, (vectors,))
 
 

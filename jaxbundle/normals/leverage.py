@@ -4,7 +4,7 @@ With weighted rows a of images and border and b of an eliminated point, V = L L^
 
     a Q_rr a^T + 2 a Q_rX b^T + b Q_XX b^T  =  a (Q_rr a^T - G h) + h^T (C h - G^T a^T),      C = I + E^T Q_rr E
 
-so a ray needs what its tile has at hand, and Q is never formed. The factors in brackets are Q times the row.
+so a ray needs only values of its tile, and Q is never formed. The factors in brackets are Q times the row.
 """
 
 from functools import reduce
@@ -23,7 +23,7 @@ Rows = list[Array]
 
 
 class ReducedCofactors(NamedTuple):
-    """Cofactors of images and border: of every image, of the pairs that have blocks, with the border, of the border."""
+    """Cofactors of images and border: of each image, of pairs with blocks, with the border, of the border."""
 
     images: Float[Array, "image d d"]
     pairs: Float[Array, "pair d d"]
@@ -32,19 +32,22 @@ class ReducedCofactors(NamedTuple):
 
 
 class TileCofactors(NamedTuple):
-    """What the cofactors of a chunk's rays are made of."""
+    """Parts of the cofactors of a chunk's rays."""
 
     g: Float[Array, "slot d 3 n"]
-    """G of the rows of each slot's image."""
+    """Rows of G for each slot's image."""
     border_g: Float[Array, "slot shared 3 n"] | None
-    """G of the rows of each slot's camera in the border."""
+    """Rows of G for each slot's camera in the border."""
     c: Float[Array, "tile 3 3 n"]
-    """C of the points."""
+    """The matrix C of the points."""
 
 
 class CellProducts(NamedTuple):
-    """Q times a row of all cells of a chunk: by the unknowns of the image, those of a shared camera, and the point,
-    C h - G^T a, which L^-T turns to X, Y, Z."""
+    """Q times the row of all cells of a chunk.
+
+    It has parts for the unknowns of the image and of a shared camera, and for the point: C h - G^T a, which L^-T
+    converts to X, Y, Z.
+    """
 
     image: Rows
     camera: Rows
@@ -52,7 +55,7 @@ class CellProducts(NamedTuple):
 
 
 def cell_products(e: Eliminated, q: ReducedCofactors, t: TileCofactors, p: Problem) -> list[CellProducts]:
-    """Q times the rows of every component."""
+    """Q times the rows of all components."""
     layout, slot_image = p.layout, e.chunk.slot_image
     d, shared = layout.image, layout.shared
     own = jnp.take(q.images, slot_image, axis=0, mode="clip")[..., None]
@@ -87,7 +90,7 @@ def _dot(a: Any, b: Any) -> Any:
 
 
 def cell_leverages(e: Eliminated, products: list[CellProducts]) -> list[Array]:
-    """Of every component of all cells of a chunk, (slot, n)."""
+    """Leverages of each component of all cells of a chunk, (slot, n)."""
     return [
         _dot([*rows, *h], [*q.image, *q.camera, *q.point])
         for rows, h, q in zip(e.image_rows, e.h, products, strict=True)
@@ -95,7 +98,7 @@ def cell_leverages(e: Eliminated, products: list[CellProducts]) -> list[Array]:
 
 
 def border_ray_leverages(linear: Linearised, q: ReducedCofactors) -> list[Array]:
-    """Of every component of the rays of border points."""
+    """Leverages of each component of the rays of border points."""
     if not linear.problem.border_rays:
         return []
     touched, _ = border_ray_rows(linear.unknowns.images, linear.d_rotation, linear.problem)
@@ -105,7 +108,7 @@ def border_ray_leverages(linear: Linearised, q: ReducedCofactors) -> list[Array]
 def group_leverages(
     linear: Linearised, q: ReducedCofactors, points: Float[Array, "3 3 point"]
 ) -> list[Float[Array, "component member"]]:
-    """Of all components of all groups; `points`: cofactors of the eliminated points."""
+    """Leverages of all components of all groups; `points`: cofactors of the eliminated points."""
     p, o, found = linear.problem, linear.problem.observations, []
     flat = linear.unknowns.flat() if o.groups else linear.unknowns.images
     for group, pairs in zip(o.groups, p.group_pairs, strict=True):
@@ -119,7 +122,7 @@ def group_leverages(
 
 
 def touched_products(touched: list[Touched], q: ReducedCofactors, pairs: Array | None) -> list[Array]:
-    """Q times the rows, by every touched entity."""
+    """Q times the rows, for each touched entity."""
     products = []
     for a in touched:
         if a.in_border and not q.border.size:  # eliminated points have no row in a border
@@ -142,7 +145,7 @@ def _leverages(touched: list[Touched], products: list[Array]) -> Float[Array, "c
 
 
 def _between(a: Touched, b: Touched, q: ReducedCofactors, pairs: Array | None) -> Float[Array, "member p q"]:
-    """Cofactors of two touched entities of every member; 0 where a row lies beyond the border."""
+    """Cofactors of two touched entities of each member; 0 for rows outside the border."""
     if a.in_border and b.in_border:
         return q.border.at[a.at[:, :, None], b.at[:, None, :]].get(mode="fill", fill_value=0.0)
     if a.in_border or b.in_border:

@@ -1,9 +1,9 @@
-"""Products of the normal equations of the rays with vectors; no row is formed, nothing is stored.
+"""Products of the normal equations of the rays with vectors, without forming or storing rows.
 
-    [ U    W ]        U = A^T P A,   W = A^T P B,   V = B^T P B        A by the image, B by the point
+    [ U    W ]        U = A^T P A,   W = A^T P B,   V = B^T P B        A for the image, B for the point
     [ W^T  V ]
 
-A product is a derivative of the gradient A^T P v along a vector; A^T is constant for the normal equations, and varies
+A product is a derivative of the gradient A^T P v along a vector; A^T is constant for the normal equations, and variable
 for all second derivatives.
 """
 
@@ -28,14 +28,14 @@ from jaxbundle.normals.rows import Image
 
 
 class _Gradient(NamedTuple):
-    """The gradient of v^T P v / 2 of the rays of a chunk; `along`: a direction of the images, where there is one."""
+    """The gradient of v^T P v / 2 of the rays of a chunk; `along`: a direction of the images, if any."""
 
     rays: ChunkRays
     along: Image
     exact: bool
 
     def __call__(self, image: Image, point: Vector) -> tuple[Image, Vector]:
-        """By image, summed over the columns, and by point."""
+        """The gradient for images, summed over the columns, and for points."""
         v, transposed = jax.vjp(self.rays.equation, image, point)
         left = tuple(w * w * r for w, r in zip(self.rays.chunk.weights, v, strict=True))
         if self.exact:
@@ -54,14 +54,14 @@ class _Gradient(NamedTuple):
 
 
 def _gradient(linear: Linearised, part: Tiles, c: Array, table: Float[Array, "image number"]) -> _Gradient:
-    """Chunk number `c`; `table`: values of the images, and behind them, if any, those of a direction."""
+    """The chunk `c`; `table`: values of the images, followed by those of a direction, if any."""
     rays = chunk_rays(linear, part, c, table)
     behind = rays.numbers[linear.values.shape[1] :]
     return _Gradient(rays, split_values(behind) if behind else rays.image, linear.exact)
 
 
 def to_images(linear: Linearised, u: Float[Array, "3 tile column"]) -> Float[Array, "image number"]:
-    """W u of the rays of one device, by the values of the images."""
+    """The product W u of the rays of one device, with respect to the values of the images."""
     values = linear.values
 
     def add_chunk(part: Tiles, c: Array, sums: Array) -> Array:
@@ -75,7 +75,7 @@ def to_images(linear: Linearised, u: Float[Array, "3 tile column"]) -> Float[Arr
 
 
 def to_points(linear: Linearised, direction: Float[Array, "image number"]) -> Float[Array, "3 tile column"]:
-    """W^T t of the rays of one device; `direction` is t, by the values of the images."""
+    """The product W^T t of the rays of one device; `direction` is t in terms of the values of the images."""
     table = jnp.concatenate([linear.values, direction], 1)
 
     def do_chunk(part: Tiles, c: Array, done: Array) -> Array:
@@ -89,7 +89,10 @@ def to_points(linear: Linearised, direction: Float[Array, "image number"]) -> Fl
 def reduced_product(
     linear: Linearised, direction: Float[Array, "image number"], stored: Float[Array, "tile number"]
 ) -> Float[Array, "image number"]:
-    """U t - W V^-1 W^T t of the rays of one device, by the values of the images; `direction` is t."""
+    """The product U t - W V^-1 W^T t of the rays of one device, for the values of the images.
+
+    `direction` is t.
+    """
     table = jnp.concatenate([linear.values, direction], 1)
 
     def add_chunk(part: Tiles, c: Array, sums: Array) -> Array:

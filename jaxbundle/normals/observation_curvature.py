@@ -1,10 +1,10 @@
 """Second derivatives of v^T P v / 2 of observations and rays that touch more than one eliminated point.
 
-Each is a function of the small corrections of all it touches, with
+Each is a function of the small corrections of its touched entities, with
 
     R(alpha, omega, kappa) = R + sum of dR/da a + half the sum of d2R/da db a b
 
-and its second derivatives go to where the products of its rows go.
+and its second derivatives are added to the same blocks as the products of its rows.
 """
 
 from collections.abc import Callable
@@ -34,7 +34,7 @@ class Rotations(NamedTuple):
     second: Float[Array, "9 3 3 member"]
 
     def of(self, image: Array) -> "Rotations":
-        """Those of chosen images."""
+        """The derivatives of selected images."""
         return Rotations(self.first[:, :, image], self.second[..., image])
 
     def turned(self, rotation: Float[Array, "9 member"], angles: Float[Array, "3 member"]) -> Float[Array, "9 member"]:
@@ -50,7 +50,7 @@ def add_curvature(
     rotations: Rotations,
     p: Problem,
 ) -> tuple[ReducedSums, PointTerms | None]:
-    """Adds the second derivatives to the sums and to what belongs to single eliminated points."""
+    """Adds the second derivatives to the sums and to the equations of single eliminated points."""
     o = p.observations
     if p.border_rays:
         sums = _add_rays(sums, unknowns.images, rotations, p)
@@ -68,19 +68,19 @@ def add_curvature(
 
 
 def _size(kind: str, columns: int) -> int:
-    """Corrections of an entity."""
+    """The corrections of one entity."""
     return {"image": EXTERIOR, "point": 3, "camera": columns, "parameter": 1}[kind]
 
 
 def _units(sizes: list[int], members: int) -> list[Float[Array, "all own member"]]:
-    """Which of all corrections are an entity's own."""
+    """Selection matrix of the corrections of one entity."""
     ends = np.cumsum(sizes)
     own = np.split(np.eye(sum(sizes)), ends[:-1], axis=1)
     return [jnp.broadcast_to(unit[:, :, None], (*unit.shape, members)) for unit in own]
 
 
 def _curvature(residual: Residual, parameters: int, members: int) -> Float[Array, "parameter parameter member"]:
-    """Sum over the components of w^2 v d2v; `residual` is w v."""
+    """The sum of w^2 v d2v over the components; `residual` is w v."""
     none = jnp.zeros((parameters, members))
     constant = residual(none)
     gradient = jax.grad(lambda d: jnp.sum(constant * residual(d)))
@@ -89,7 +89,7 @@ def _curvature(residual: Residual, parameters: int, members: int) -> Float[Array
 
 
 def _group_residual(group: Group, unknowns: Unknowns, rotations: Rotations, columns: tuple[int, ...]) -> Residual:
-    """Weighted residuals of a group as a function of the corrections of what its members touch."""
+    """Weighted residuals of a group as a function of the corrections of the touched entities."""
     ends = np.cumsum([_size(kind, len(columns)) for kind in group.kind.touches])
 
     def corrected(kind: str, index: Array, d: Array) -> Any:

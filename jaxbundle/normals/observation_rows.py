@@ -3,7 +3,7 @@
 Their unknowns are rows of the images' blocks (exterior orientation, and the interior of an image's own camera) or of
 the border (interior of shared cameras, parameters, then border points):
 
-    [ S_II  S_Ib ]     S_II  blocks d x d of pairs of images: diagonal ones apart from the others
+    [ S_II  S_Ib ]     S_II  blocks d x d of pairs of images: diagonal ones separate from the others
     [       S_bb ]     S_Ib  d rows per image, S_bb dense
 """
 
@@ -31,7 +31,7 @@ class Touched(NamedTuple):
     rows: Float[Array, "component parameter member"]
     in_border: bool
     at: Int[Array, "member *parameter"]
-    """Image of each member, or rows of the border; what lies beyond it is dropped."""
+    """Image of each member, or rows of the border; indices outside are dropped."""
 
 
 class GroupRows(NamedTuple):
@@ -42,7 +42,7 @@ class GroupRows(NamedTuple):
 
 
 def no_sums(p: Problem, images: int) -> ReducedSums:
-    """Sums of nothing."""
+    """Empty sums, all 0."""
     d, border = p.layout.image, p.layout.border
     two_images = any(pairs is not None for pairs in p.group_pairs)
     return ReducedSums(
@@ -58,7 +58,7 @@ def no_sums(p: Problem, images: int) -> ReducedSums:
 def add_rows(
     sums: ReducedSums, touched: list[Touched], residuals: Float[Array, "component member"], pairs: Array | None
 ) -> ReducedSums:
-    """Adds observations. `pairs`: the block of the first two touched images, where they are two."""
+    """Adds observations. `pairs`: the block of the first two touched images, if there are two."""
     for a in touched:
         gradient = jnp.einsum("cpm,cm->mp", a.rows, residuals)
         if a.in_border:
@@ -74,7 +74,7 @@ def add_products(
     metric: Float[Array, "component component member"] | None,
     pairs: Array | None,
 ) -> ReducedSums:
-    """Adds the products of all rows with all others, A^T A, or A^T M A where there is a metric."""
+    """Adds the products of all rows with all others, A^T A, or A^T M A with a metric."""
     for i, a in enumerate(touched):
         left = a.rows if metric is None else jnp.einsum("cpm,cdm->dpm", a.rows, metric)
         for j, b in enumerate(touched):
@@ -122,12 +122,12 @@ def group_rows(group: Group, unknowns: Unknowns, d_rotation: Rotations, columns:
 
 
 def touched_by_group(group: Group, rows: tuple[Array, ...], p: Problem) -> list[Touched]:
-    """Where the rows of a group belong; all that goes into the border goes as one."""
+    """Positions of the rows of a group; all rows of the border are combined."""
     touched, border = [], []
     for kind, index, row in zip(group.kind.touches, group.indices, rows, strict=True):
         if kind == "image":
             touched.append(Touched(_in_image(row, 0, p), False, index))
-        elif kind == "camera" and p.layout.own_cameras:  # own cameras stand in the order of their images
+        elif kind == "camera" and p.layout.own_cameras:  # cameras of single images are in the order of their images
             touched.append(Touched(_in_image(row, EXTERIOR, p), False, index))
         else:
             border.append((row, _border_rows(kind, index, p)))
@@ -143,7 +143,7 @@ def _in_image(rows: Array, first: int, p: Problem) -> Array:
 
 
 def _border_rows(kind: str, index: Array, p: Problem) -> Int[Array, "member parameter"]:
-    """Rows of an entity in the border; beyond it for an eliminated point."""
+    """Rows of an entity in the border; outside for an eliminated point."""
     layout = p.layout
     if kind == "point":
         inside = (index >= p.tile_points)[:, None]
@@ -152,7 +152,7 @@ def _border_rows(kind: str, index: Array, p: Problem) -> Int[Array, "member para
 
 
 def add_group(sums: ReducedSums, group: Group, rows: GroupRows, pairs: Array | None, p: Problem) -> ReducedSums:
-    """Adds the rows of a group by images and border; eliminated points take no part."""
+    """Adds the rows of a group for images and border, without eliminated points."""
     return add_rows(sums, touched_by_group(group, rows.rows, p), rows.residuals, pairs)
 
 
@@ -174,7 +174,7 @@ def add_border_rays(sums: ReducedSums, unknowns: Unknowns, d_rotation: Rotations
 
 
 def border_rays(unknowns: Unknowns, d_rotation: Rotations, p: Problem) -> Ray:
-    """The rays of border points; one without weight gets a point in front of its camera."""
+    """The rays of border points; a ray without weight has a point in front of its camera."""
     rays = p.border_rays
     turned = d_rotation[:, :, rays.image]
     centre, rotation = tuple(unknowns.centre[:, rays.image]), tuple(unknowns.rotation[:, rays.image])
@@ -203,7 +203,7 @@ def border_ray_rows(
 def touched_by_rays(
     of_image: Float[Array, "component unknown ray"], of_point: Float[Array, "component 3 ray"], p: Problem
 ) -> list[Touched]:
-    """Where the rows of the rays of border points belong."""
+    """Positions of the rows of the rays of border points."""
     layout, rays = p.layout, p.border_rays
     touched = [
         Touched(of_image[:, : layout.image], False, rays.image),

@@ -1,6 +1,6 @@
-"""Products of a tile's E: with itself, E E^T into the blocks of image pairs, and with such blocks, (T + T^T) E.
+"""Products of a tile's E with itself, E E^T, added to blocks of image pairs, and with such blocks, (T + T^T) E.
 
-Which block belongs to a pair of slots is looked up in the lists of the plan (`plan.pair_lists`). `coupling` is E of a
+The lists of the plan (`plan.pair_lists`) contain the block of each pair of slots. `coupling` is E of a
 chunk, one row per slot: by unknown, coordinate, column.
 """
 
@@ -17,7 +17,7 @@ Coupling = Float[Array, "slot number"]
 
 
 def add_tile_products(blocks: Blocks, part: Tiles, coupling: Coupling, c: Array, tiles: Array) -> Blocks:
-    """The blocks with E E^T of all `tiles` tiles of chunk `c` added."""
+    """Adds E E^T of all `tiles` tiles of chunk `c` to the blocks."""
     if isinstance(part.pairs, GroupPairs):
         return _add_by_groups(blocks, part.pairs, part.group, coupling, c)
     assert part.pairs is not None
@@ -25,7 +25,7 @@ def add_tile_products(blocks: Blocks, part: Tiles, coupling: Coupling, c: Array,
 
 
 def apply_blocks(lower: Blocks, part: Tiles, coupling: Coupling, c: Array, tiles: Array) -> Coupling:
-    """(T + T^T) E of all tiles of chunk `c`, tile by tile, for a T whose blocks `lower` holds."""
+    """The product (T + T^T) E of all tiles of chunk `c`, for a T with the blocks `lower`."""
     if isinstance(part.pairs, GroupPairs):
         return _apply_by_groups(lower, part.pairs, part.group, coupling, c)
     assert part.pairs is not None
@@ -33,13 +33,14 @@ def apply_blocks(lower: Blocks, part: Tiles, coupling: Coupling, c: Array, tiles
 
 
 def _add_by_class(blocks: Blocks, pairs: ClassPairs, coupling: Coupling, c: Array, tiles: Array) -> Blocks:
-    """One loop per class, of which one turns."""
+    """One loop per class; only one has iterations."""
     kind, offset = (lax.dynamic_index_in_dim(x, c, 0, False) for x in (pairs.tile_class, pairs.pair_offset))
     d = blocks.shape[1]
 
     def add_tiles(size: int):
         def add(t: Array, blocks: Array) -> Array:
-            # the factor must depend on the turn, else the product is hoisted out of the loop, done for every class
+            # the factor must depend on the iteration, otherwise the product is moved out of the loop and done for all
+            # classes
             e = lax.dynamic_slice_in_dim(coupling, t * size, size, 0) if size < SLOTS else coupling * (1 + t)
             e = e.reshape(size * d, -1)
             block = lax.dynamic_slice_in_dim(pairs.pair, offset + t * size * size, size * size, 0)
@@ -53,7 +54,7 @@ def _add_by_class(blocks: Blocks, pairs: ClassPairs, coupling: Coupling, c: Arra
 
 
 def _apply_by_class(lower: Blocks, pairs: ClassPairs, coupling: Coupling, c: Array, tiles: Array) -> Coupling:
-    """One loop per class, of which one turns."""
+    """One loop per class; only one has iterations."""
     kind, offset = (lax.dynamic_index_in_dim(x, c, 0, False) for x in (pairs.tile_class, pairs.pair_offset))
     d = lower.shape[1]
 
@@ -74,7 +75,7 @@ def _apply_by_class(lower: Blocks, pairs: ClassPairs, coupling: Coupling, c: Arr
 
 
 def _add_by_groups(blocks: Blocks, pairs: GroupPairs, group: int, coupling: Coupling, c: Array) -> Blocks:
-    """One product of two groups of slots after the other."""
+    """Computes the products of two groups of slots one after the other."""
     d = blocks.shape[1]
 
     def add(k: Array, blocks: Array) -> Array:
@@ -86,7 +87,7 @@ def _add_by_groups(blocks: Blocks, pairs: GroupPairs, group: int, coupling: Coup
 
 
 def _apply_by_groups(lower: Blocks, pairs: GroupPairs, group: int, coupling: Coupling, c: Array) -> Coupling:
-    """One product after the other, each used for its own rows and, transposed, for its columns."""
+    """Computes one product after the other; each is used for its rows and, transposed, for its columns."""
     d = lower.shape[1]
 
     def add(k: Array, out: Array) -> Array:
@@ -113,12 +114,12 @@ def _operands(
 
 
 def _blocks(left: Float[Array, "row k"], right: Float[Array, "row k"], slots: int, d: int) -> Blocks:
-    """E E^T of some slots with as many, as blocks of their pairs."""
+    """The product E E^T of two equal groups of slots, as blocks of their pairs."""
     product = lax.dot_general(left, right, (((1,), (1,)), ((), ())))
     return product.reshape(slots, d, slots, d).transpose(0, 2, 1, 3).reshape(slots * slots, d, d)
 
 
 def _matrix(blocks: Blocks, slots: int) -> Float[Array, "row row"]:
-    """T of some slots by as many, in one piece."""
+    """The matrix T of two equal groups of slots, as one array."""
     d = blocks.shape[1]
     return blocks.reshape(slots, slots, d, d).transpose(0, 2, 1, 3).reshape(slots * d, slots * d)

@@ -1,6 +1,6 @@
 """Block-sparse Cholesky factorisation of the reduced matrix on its tiles, A = L L^T.
 
-Factorisation, column J with the panels R below it, C_J = L_JJ^-1 kept in place of L_JJ:
+Factorisation, column J with the panels R below it, with C_J = L_JJ^-1 stored instead of L_JJ:
 
     L_RJ = A_RJ C_J^T,     A_AB <- A_AB - L_AJ L_BJ^T     A >= B in R
 
@@ -10,8 +10,8 @@ Inverse on the pattern of L, last column first (Takahashi, Fagan & Chen 1973, in
 
     Z_RJ = -Z_RR K,        Z_JJ = C_J^T C_J - K^T Z_RJ
 
-Two devices: each has the columns of one end of the band; the tiles of the separator are summed over the devices, and
-from there on both do the same.
+With two devices, each has the columns of one end of the band; the tiles of the separator are summed over the devices,
+and then both do the same.
 """
 
 from typing import NamedTuple
@@ -31,7 +31,7 @@ Sides = Float[Array, "panel b k"]
 
 
 class _Part(NamedTuple):
-    """This device's lists, how many of its panels and tiles belong to its end, and whether the separator is its own."""
+    """Lists of this device, numbers of panels and tiles of its end, and whether it owns the separator."""
 
     ends: PanelColumns | None
     separator: PanelColumns
@@ -44,7 +44,10 @@ class _Part(NamedTuple):
 
 
 class PanelCholesky(AbstractImageFactor[Tiles]):
-    """Sparse, on the tiles of `lists`; the factor is this device's tiles. `axis`: of the devices, None for one."""
+    """The sparse factorisation on the tiles of `lists`; the factor are the tiles of this device.
+
+    `axis`: of the devices, None for one.
+    """
 
     lists: PanelLists
     axis: str | None = eqx.field(static=True)
@@ -113,7 +116,7 @@ class PanelCholesky(AbstractImageFactor[Tiles]):
 
 
 def _sizes(columns: PanelColumns) -> tuple[int, int]:
-    """Padded numbers of panels and of tiles."""
+    """The padded numbers of panels and of tiles."""
     return columns.first_below.shape[0] - 1, columns.block.shape[0]
 
 
@@ -124,13 +127,13 @@ def _to_panels(part: _Part, right: Float[Array, "image d k"]) -> Sides:
 
 
 def _own(part: _Part, y: Sides) -> Sides:
-    """0 in the separator on all devices but the first."""
+    """Sets the separator to 0 on all devices but the first."""
     end = jnp.arange(part.panels) < part.end_panels
     return jnp.where((end | part.leads)[:, None, None], y, 0.0)
 
 
 def _empty(part: _Part, d: int) -> Float[Array, "panel b"]:
-    """1 in the rows of a panel that have no image."""
+    """Mask with 1 in the rows of a panel without image."""
     q = part.separator.block.shape[1]
     empty = jnp.ones(part.panels * q).at[part.position].set(0.0, mode="drop")
     return jnp.repeat(empty, d).reshape(part.panels, q * d)
@@ -155,7 +158,7 @@ def _put(x: Array, value: Array, i: Array) -> Array:
 
 
 def _transposed(x: Array) -> Array:
-    """Written out: XLA has no fast product with a transposed left factor."""
+    """Explicit product: XLA has no fast product with a transposed left factor."""
     return lax.optimization_barrier(x.T)
 
 
@@ -211,7 +214,7 @@ def _backward(tiles: Tiles, y: Sides, columns: PanelColumns, first_tile: int, fi
 
 
 def _unit_factor(tiles: Tiles, columns: PanelColumns, first_tile: int) -> Tiles:
-    """K in place of L below the diagonal of the columns given."""
+    """Replaces L by K below the diagonal of the given columns."""
 
     def column(j: Array, k: Array) -> Array:
         inverse = _at(k, first_tile + j)
@@ -226,9 +229,9 @@ def _unit_factor(tiles: Tiles, columns: PanelColumns, first_tile: int) -> Tiles:
 
 
 def _selected_inverse(k: Tiles, z: Tiles, columns: PanelColumns, first_tile: int) -> Tiles:
-    """Z in the columns given, 0 there before. `k`: K below the diagonal, C_J on it.
+    """Computes Z in the given columns, which are 0 before. `k`: K below the diagonal, C_J on it.
 
-    A turn of a loop changes one tile of one array; XLA copies whole arrays where it changes more.
+    An iteration of a loop changes one tile of one array; XLA copies whole arrays if it changes more.
     """
 
     def column(step: Array, z: Array) -> Array:
@@ -249,7 +252,7 @@ def _selected_inverse(k: Tiles, z: Tiles, columns: PanelColumns, first_tile: int
             return block - _transposed(_at(k, a)) @ _at(z, a)
 
         z = lax.fori_loop(update, last, left, z)
-        z = lax.fori_loop(update + end - first, last, right, z)  # the first ones are diagonal tiles, done
+        z = lax.fori_loop(update + end - first, last, right, z)  # the first ones are diagonal tiles, which are done
         inverse = _at(k, first_tile + j)
         block = lax.fori_loop(first, end, own, _transposed(inverse) @ inverse)
         return _put(z, block, first_tile + j)

@@ -1,11 +1,11 @@
-"""The reduced normal equations solved without being formed: preconditioned conjugate gradients.
+"""Solving the reduced normal equations without forming them: preconditioned conjugate gradients.
 
     S x = U x - W u + lambda D x,    u = V^-1 W^T x        products of `normal_products`
 
-One product runs through all tiles once, like the back-substitution. The preconditioner are the diagonal blocks of S,
-one per image and one for the whole border.
+One product needs one pass through all tiles, like the back-substitution. The preconditioner are the diagonal blocks of
+S, one per image and one for the whole border.
 
-For blocks whose factor would be too large or too full. It gives no cofactors.
+It is for blocks whose factor would be too large or too dense. It gives no cofactors.
 """
 
 from collections.abc import Callable
@@ -22,17 +22,17 @@ from jaxbundle.normals.reduced_system import ReducedFactor, ReducedSystem, facto
 from jaxbundle.normals.reduced_vector import reduced_rows, values_along
 from jaxbundle.numerics.conjugate_gradients import conjugate_gradients
 
-TOLERANCE = 1e-12  # of the first residual, in the norm of the preconditioner
+TOLERANCE = 1e-12  # share of the first residual, in the norm of the preconditioner
 MAX_ITERATIONS = 2000
 
 
 class ImplicitEquations(NamedTuple):
-    """The reduced equations as one device has them."""
+    """The reduced equations of one device."""
 
     linear: Linearised
     system: ReducedSystem
     stored: Float[Array, "tile number"]
-    """The equations of this device's points."""
+    """The equations of the points of this device."""
     damping: Array
 
     def solve(self, right: ReducedVector) -> ReducedVector:
@@ -41,7 +41,7 @@ class ImplicitEquations(NamedTuple):
         return conjugate_gradients(self.product, precondition, right, ReducedVector.dot, TOLERANCE, MAX_ITERATIONS)[0]
 
     def preconditioned(self) -> Callable[[ReducedVector], ReducedVector]:
-        """M^-1 r, with the diagonal blocks M of S."""
+        """Computes M^-1 r with the diagonal blocks M of S."""
         factor = self.preconditioner()
 
         def precondition(r: ReducedVector) -> ReducedVector:
@@ -52,12 +52,12 @@ class ImplicitEquations(NamedTuple):
 
     def preconditioner(self) -> ReducedFactor:
         """The factors of the diagonal blocks."""
-        # with the coupling, but without the blocks of pairs of images, it might not be positive
+        # with the coupling, but without the blocks of pairs of images, it might not be positive definite
         diagonal = eqx.tree_at(lambda s: s.coupling, self.system, jnp.zeros_like(self.system.coupling))
         return factorise(self.linear.problem.reduced, diagonal, self.damping)
 
     def only_free(self, x: ReducedVector) -> ReducedVector:
-        """The vector with 0 for what is fixed."""
+        """The vector with 0 for fixed unknowns."""
         free = ReducedVector(self.system.free, self.system.border_free)
         return jax.tree.map(lambda f, v: jnp.where(f, v, 0.0), free, x)
 
@@ -72,7 +72,7 @@ class ImplicitEquations(NamedTuple):
 
 
 def sums_product(sums: ReducedSums, x: ReducedVector) -> ReducedVector:
-    """The part of S x that comes from observations that are not rays of the tiles."""
+    """The part of S x from observations other than rays of the tiles."""
     images = jnp.einsum("iab,ib->ia", sums.diagonal, x.images) + sums.coupling @ x.border
     border = jnp.einsum("iab,ia->b", sums.coupling, x.images) + sums.border @ x.border
     return ReducedVector(images, border)

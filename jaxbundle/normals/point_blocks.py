@@ -1,7 +1,7 @@
-"""The 3 x 3 normal matrix of an object point, written out: V = L L^T.
+"""The 3 x 3 normal matrix of an object point in explicit form: V = L L^T.
 
-All quantities are scalars, which may be arrays of any one shape. The inverse of a pivot is kept instead of the pivot;
-where it is 0 the coordinate is fixed: its correction is 0 and it touches nothing.
+All quantities are scalars, which may be arrays of one shape. The inverse of a pivot is stored instead of the pivot; 0
+means a fixed coordinate: its correction is 0 and it has no effect.
 """
 
 from typing import NamedTuple
@@ -13,8 +13,8 @@ from jaxtyping import Array, Bool, Float
 from jaxbundle.camera.collinearity import Vector
 from jaxbundle.geometry.rotation import Scalar
 
-PAIRS = ((0, 0), (0, 1), (0, 2), (1, 1), (1, 2), (2, 2))  # elements of V as they are stored
-STORED = 12  # numbers of a point: factor (6), gradient (3), diagonal of V (3)
+PAIRS = ((0, 0), (0, 1), (0, 2), (1, 1), (1, 2), (2, 2))  # stored elements of V
+STORED = 12  # stored numbers of a point: factor (6), gradient (3), diagonal of V (3)
 Truth = Bool[Array, "..."]
 Symmetric = tuple[Scalar, Scalar, Scalar, Scalar, Scalar, Scalar]  # 00, 01, 02, 11, 12, 22
 
@@ -31,7 +31,7 @@ class PointFactor(NamedTuple):
 
 
 class PointEquations(NamedTuple):
-    """What is stored of the equations of the points: factor of V, gradient and diagonal of V before damping."""
+    """Stored equations of the points: factor of V, gradient and diagonal of V before damping."""
 
     factor: PointFactor
     gradient: list[Array]
@@ -39,13 +39,13 @@ class PointEquations(NamedTuple):
 
 
 def point_equations(stored: Float[Array, "tile number"], n: int) -> PointEquations:
-    """The equations of `n` points per tile from the rows that are stored of them."""
+    """The equations of `n` points per tile from their stored rows."""
     number = [stored[:, k * n : (k + 1) * n] for k in range(STORED)]
     return PointEquations(PointFactor(*number[:6]), number[6:9], number[9:])
 
 
 def factorise(v: Symmetric, free: tuple[Truth, Truth, Truth]) -> PointFactor:
-    """Cholesky factor of V; `free` is true where the coordinate is unknown. Not finite where V is not positive."""
+    """Cholesky factor of V; `free` is true for unknown coordinates. Not finite if V is not positive definite."""
 
     def inverse_root(pivot: Scalar, free: Truth) -> Scalar:
         return jnp.where(free, lax.rsqrt(jnp.where(free, pivot, 1.0)), 0.0)

@@ -1,13 +1,13 @@
-"""What the normal equations are made of. No algorithm stands here; every kernel takes these types.
+"""Types of the normal equations, which all kernels use; this module has no algorithms.
 
-    OrderedUnknowns   the unknowns in the order of elimination
+    OrderedUnknowns   the unknowns in elimination order
     Problem           the observations in that order: tiles of rays, rays of border points, groups of other observations
-    Linearised        both at one place, and what is computed once per linearisation outside of the tiles
+    Linearised        both at some unknowns, and values computed once per linearisation outside the tiles
     ReducedSums       normal equations of images and border from observations that are not rays of the tiles
     NormalVector      a vector of all unknowns: images, border, points of the tiles
     ReducedVector     a vector of the unknowns of the reduced equations: images, border
 
-Long axes stand last: on a CPU what is concatenated or added along them is several times faster.
+Long axes are last: on a CPU, concatenation and addition along them are several times faster.
 """
 
 import abc
@@ -27,21 +27,21 @@ F = TypeVar("F")
 
 
 class OrderedUnknowns(NamedTuple):
-    """Unknowns in the order of elimination."""
+    """Unknowns in elimination order."""
 
     images: Unknowns
     """Exterior and interior orientation, parameters, and as `points` the border points."""
     tiles: Float[Array, "3 tile column"]
-    """The points that are eliminated."""
+    """The eliminated points."""
 
     def flat(self) -> Unknowns:
-        """All points in one row, those of the tiles first, as observations number them."""
+        """All points in one array, those of the tiles first, in the numbering of the observations."""
         points = jnp.concatenate([self.tiles.reshape(3, -1), self.images.points], 1)
         return eqx.tree_at(lambda u: u.points, self.images, points)
 
 
 class NormalVector(NamedTuple):
-    """A vector of all unknowns in the order of elimination, or several with a leading axis; 0 for fixed ones."""
+    """A vector of all unknowns in elimination order, or several with a leading axis; 0 for fixed ones."""
 
     images: Float[Any, "*vector image d"]
     border: Float[Any, "*vector border"]
@@ -55,25 +55,28 @@ class ReducedVector(NamedTuple):
     border: Float[Array, " border"]
 
     def dot(self, other: "ReducedVector") -> Float[Array, ""]:
-        """Scalar product."""
+        """The scalar product with another vector."""
         return jnp.sum(self.images * other.images) + jnp.sum(self.border * other.border)
 
 
 class Tiles(eqx.Module):
-    """Rays of eliminated points as cells, image slots by points; a leading device axis until a device takes its own."""
+    """Rays of eliminated points as cells, image slots by points.
+
+    The arrays have a leading device axis before the distribution to devices.
+    """
 
     slot_image: Int[Array, "*device chunk slot"]
     """Image of each slot."""
     slot_tile: Int[Array, "*device chunk slot"]
     """Tile of each slot."""
     measured: Float[Array, "*device chunk number slot column"]
-    """What is measured of each ray."""
+    """Measured numbers of each ray."""
     weights: Float[Array, "*device chunk component slot column"]
     """Square roots of the weights of its residuals; 0 in a cell without ray."""
     chunks: Int[Array, "*device"]
-    """Number of chunks in use."""
+    """Number of used chunks."""
     pairs: ClassPairs | GroupPairs | None
-    """Blocks of the pairs of slots; None where the reduced matrix is not formed."""
+    """Blocks of the pairs of slots; None if the reduced matrix is not formed."""
     max_tiles: int = eqx.field(static=True)
     """Maximum number of tiles of a chunk."""
     group: int = eqx.field(static=True)
@@ -85,7 +88,7 @@ class BorderRays(eqx.Module):
 
     image: Int[Array, " ray"]
     point: Int[Array, " ray"]
-    """Counted from the first border point."""
+    """Index of the point, relative to the first border point."""
     measured: Float[Array, "number ray"]
     weights: Float[Array, "component ray"]
 
@@ -94,15 +97,15 @@ class BorderRays(eqx.Module):
 
 
 class AbstractImageFactor(eqx.Module, Generic[F]):
-    """One algorithm. Blocks are d x d, of the pairs i >= j of images in the order of elimination."""
+    """Interface of a factorisation. Blocks are d x d, of the pairs i >= j of images in elimination order."""
 
     @abc.abstractmethod
     def factorise(self, pairs: Float[Array, "pair d d"]) -> F:
-        """L; images that no block mentions get a unit row. NaN from the first pivot on that is not positive."""
+        """The factor L; images without block have a unit row. NaN from the first pivot that is not positive."""
 
     @abc.abstractmethod
     def pivots(self, factor: F, images: int, d: int) -> Float[Array, "image d"]:
-        """Squares of the diagonal of L; any number for an image that no block mentions."""
+        """Squares of the diagonal of L; arbitrary for an image without block."""
 
     @abc.abstractmethod
     def forward(self, factor: F, right: Float[Array, "image d k"]) -> Float[Array, "image d k"]:
@@ -114,28 +117,28 @@ class AbstractImageFactor(eqx.Module, Generic[F]):
 
     @abc.abstractmethod
     def selected_inverse(self, factor: F, d: int) -> Float[Array, "pair d d"]:
-        """Blocks of A^-1 of the pairs; 0 where a block is not in use."""
+        """Blocks of A^-1 of the pairs; 0 for unused blocks."""
 
 
 ImageFactor = AbstractImageFactor[Any]
 
 
 class ReducedSolver(eqx.Module):
-    """How the reduced equations are solved."""
+    """Solver of the reduced normal equations."""
 
     pair: Int[Array, "pair 2"]
-    """Images of each block; the padded number of images where a block is not in use."""
+    """Images of each block; the padded number of images for unused blocks."""
     images: ImageFactor
     """Factorisation of the images' part."""
 
 
 class Problem(eqx.Module):
-    """All observations in the order of elimination."""
+    """All observations in elimination order."""
 
     observations: Observations
-    """Groups, masks of what is free, image model; its own rays are empty, they stand in `tiles` and `border_rays`."""
+    """Groups, masks of free unknowns, image model; without rays, which are in `tiles` and `border_rays`."""
     tiles: tuple[Tiles, ...]
-    """Points with short tracks and points with long tracks, as far as there are any."""
+    """Points with short tracks and points with long tracks, if any."""
     border_rays: BorderRays
     diagonal_pair: Int[Array, " image"]
     """Block of each image with itself."""
@@ -152,12 +155,12 @@ class Problem(eqx.Module):
 
     @property
     def free_tiles(self) -> Bool[Array, "3 tile column"]:
-        """Which coordinates of the eliminated points are unknown."""
+        """Mask of the unknown coordinates of the eliminated points."""
         return self.observations.point_free[:, : self.tile_points].reshape(3, -1, self.layout.width)
 
     @property
     def free(self) -> ReducedVector:
-        """Which unknowns of images and border are free."""
+        """Mask of the free unknowns of images and border."""
         o, layout = self.observations, self.layout
         images = jnp.concatenate([o.exterior_free, o.interior_free]) if layout.own_cameras else o.exterior_free
         interior = o.interior_free.T.ravel() if layout.first_parameter else jnp.zeros(0, bool)
@@ -166,7 +169,7 @@ class Problem(eqx.Module):
 
 
 class ReducedSums(NamedTuple):
-    """Normal equations of images and border; `pairs` is None where no observation touches two images."""
+    """Normal equations of images and border; `pairs` is None if no observation touches two images."""
 
     diagonal: Float[Array, "image d d"]
     gradient: Float[Array, "image d"]
@@ -177,28 +180,28 @@ class ReducedSums(NamedTuple):
 
 
 class Linearised(eqx.Module):
-    """The equations at some unknowns, as all devices together or as one device has them."""
+    """The equations at some unknowns, of all devices together or of one device."""
 
     unknowns: OrderedUnknowns
     problem: Problem
     table: Float[Array, "image number"]
-    """What every ray takes from its image: rotation, centre, interior elements, derivatives of the rotation."""
+    """Table of the images: rotation, centre, interior elements, derivatives of the rotation."""
     d_rotation: Float[Array, "9 3 image"]
     """Derivatives of the rotation matrices with respect to three angles."""
     d2_rotation: Float[Array, "9 3 3 image"] | None
-    """Second derivatives; None unless all second derivatives of v^T P v / 2 are wanted."""
+    """Second derivatives; None unless all second derivatives of v^T P v / 2 are requested."""
     sums: ReducedSums
-    """Observations that are not rays of the tiles."""
+    """Equations of observations other than rays of the tiles."""
     point_terms: Float[Array, "9 tile column"] | None
-    """V (6 numbers) and gradient of observations of one eliminated point each; None where there are none."""
+    """V (6 numbers) and gradient of observations of one eliminated point each; None without such observations."""
     free_tiles: Bool[Array, "3 tile column"]
-    """Which coordinates of the eliminated points are unknown."""
+    """Mask of the unknown coordinates of the eliminated points."""
     axis: str | None = eqx.field(static=True, default=None)
-    """Name of the devices' axis inside of a program for several devices."""
+    """Name of the devices' axis inside a program for several devices."""
 
     @property
     def exact(self) -> bool:
-        """Whether all second derivatives are wanted."""
+        """Whether all second derivatives are requested."""
         return self.d2_rotation is not None
 
     @property
@@ -208,11 +211,11 @@ class Linearised(eqx.Module):
 
     @property
     def width(self) -> int:
-        """Points per tile."""
+        """Number of points per tile."""
         return self.unknowns.tiles.shape[2]
 
     def total(self, x: Any) -> Any:
-        """Sums over the devices."""
+        """Sums values over the devices."""
         return lax.psum(x, self.axis) if self.axis else x
 
     def maximum(self, x: Any) -> Any:

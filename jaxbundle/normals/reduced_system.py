@@ -1,6 +1,6 @@
 """The reduced normal equations of the images and the border: scaling, damping, solution, cofactors.
 
-The border are the unknowns that many images share. With s = 1 / sqrt(diagonal of N), 0 for a fixed unknown,
+The border consists of unknowns shared by many images. With s = 1 / sqrt(diagonal of N), 0 for a fixed unknown,
 
     [ A    B ] [x_I]   [r_I]      A = s_I S_II s_I + lambda,  B = s_I S_Ib s_b,  D = s_b S_bb s_b + lambda,
     [ B^T  D ] [x_b] = [r_b]      r = s right;  lambda is 1 for a fixed unknown;  step = s x.
@@ -8,10 +8,10 @@ The border are the unknowns that many images share. With s = 1 / sqrt(diagonal o
     A = L L^T,   Y = L^-1 B,   y = L^-1 r_I,   D - Y^T Y = M M^T
     x_b = M^-T M^-1 (r_b - Y^T y),             x_I = L^-T (y - Y x_b)
 
-Because N has the unit diagonal after scaling, a squared pivot is the share of an unknown's own normal equation that no
-unknown before it can imitate: 0 for an undetermined one, NaN from there on where rounding makes it negative.
+Because N has the unit diagonal after scaling, a squared pivot is the share of an unknown's normal equation that is
+independent of the unknowns before it: 0 for an undetermined one, NaN from there if rounding makes it negative.
 
-Cofactors, X = L^-T Y, Z = A^-1 where there are blocks, each scaled by s on both sides:
+Cofactors, X = L^-T Y, Z = A^-1 in existing blocks, each scaled by s on both sides:
 
     Q_bb = M^-T M^-1,    Q_Ib = -X Q_bb,    Q_II = Z + X Q_bb X^T
 """
@@ -30,7 +30,7 @@ class ReducedSystem(eqx.Module):
     """The reduced normal equations without damping."""
 
     pairs: Float[Array, "pair d d"]
-    """Blocks of the pairs i >= j of images; the last one is ignored."""
+    """Blocks of the pairs i >= j of images; the last one is a dummy."""
     diagonal: Float[Array, "image d"]
     """Diagonal of N, before the elimination of the points."""
     right: Float[Array, "image d"]
@@ -58,7 +58,7 @@ class ReducedFactor(eqx.Module):
 
 
 class ReducedCofactors(eqx.Module):
-    """Cofactors of the pairs that have blocks, of images and border, and of the border; 0 for fixed unknowns."""
+    """Cofactors of pairs with blocks, of images and border, and of the border; 0 for fixed unknowns."""
 
     pairs: Float[Array, "pair d d"]
     coupling: Float[Array, "image d border"]
@@ -74,7 +74,7 @@ def _at_images(x: Float[Array, "image *rest"], image: Int[Array, " pair"]) -> Fl
 
 
 def _scaled_pairs(solver: ReducedSolver, system: ReducedSystem, scale: Array, damping: Array) -> Array:
-    """A; 0 in the blocks that are not used, whatever was thrown there."""
+    """The scaled matrix A; unused blocks are set to 0."""
     i, j = solver.pair.T
     used = i < scale.shape[0]
     scaled = _at_images(scale, i)[:, :, None] * system.pairs * _at_images(scale, j)[:, None, :]
@@ -84,7 +84,7 @@ def _scaled_pairs(solver: ReducedSolver, system: ReducedSystem, scale: Array, da
 
 
 def factorise(solver: ReducedSolver, system: ReducedSystem, damping: Float[Array, ""]) -> ReducedFactor:
-    """Factorises the system with `damping` times `diagonal` added, and carries its right-hand side along."""
+    """Factorises the system with `damping` times `diagonal` added, and its right-hand side."""
     scale = _scale(system.diagonal, system.free)
     border_scale = _scale(system.border_diagonal, system.border_free)
     factor = solver.images.factorise(_scaled_pairs(solver, system, scale, damping))
@@ -108,7 +108,7 @@ def factorise(solver: ReducedSolver, system: ReducedSystem, damping: Float[Array
 
 
 def step(solver: ReducedSolver, factor: ReducedFactor) -> tuple[Float[Array, "image d"], Float[Array, " border"]]:
-    """The solution for the system's own right-hand side."""
+    """The solution for the right-hand side of the system."""
     images, border = _finish(solver, factor, factor.right[..., None], factor.border_right[:, None])
     return images[..., 0], border[:, 0]
 
@@ -132,7 +132,7 @@ def _finish(solver: ReducedSolver, factor: ReducedFactor, y: Array, border_right
 
 
 def cofactors(solver: ReducedSolver, factor: ReducedFactor) -> ReducedCofactors:
-    """Cofactors of all unknowns, without the scale; not finite where the matrix is singular."""
+    """Cofactors of all unknowns, without the scale; not finite if the matrix is singular."""
     i, j = solver.pair.T
     scale, d = factor.scale, factor.scale.shape[1]
     z = solver.images.selected_inverse(factor.images, d)

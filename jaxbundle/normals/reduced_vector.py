@@ -22,7 +22,7 @@ def correction_of(x: ReducedVector, p: Problem, unknowns: OrderedUnknowns) -> Co
 
 
 def values_along(x: ReducedVector, linear: Linearised) -> Float[Array, "image number"]:
-    """How the values of the images move with a step."""
+    """Change of the values of the images by a step."""
     correction = correction_of(x, linear.problem, linear.unknowns)
     turned = jnp.sum(linear.d_rotation * correction.exterior[3:], 1)
     moved = Unknowns(turned, correction.exterior[:3], correction.interior, correction.parameters, correction.points)
@@ -30,7 +30,7 @@ def values_along(x: ReducedVector, linear: Linearised) -> Float[Array, "image nu
 
 
 def reduced_rows(rows: Float[Array, "image number"], linear: Linearised) -> ReducedVector:
-    """Sums over rays, by the values of the images, as sums by the unknowns of the reduced equations."""
+    """Converts sums over rays from the values of the images to the unknowns of the reduced equations."""
     o, layout = linear.problem.observations, linear.problem.layout
     angles = jnp.einsum("eai,ie->ia", linear.d_rotation, rows[:, :9])
     interior = rows[:, 12:][:, np.array(o.columns, int)]

@@ -3,19 +3,19 @@
     v = A dt + B dX        A: six elements of the image (X0, Y0, Z0, three angles), then the estimated interior elements
                            B: X, Y, Z of the object point
 
-What depends on the image alone, the rotation matrix, is differentiated once per image. The photo vector stands between
-the camera and everything else: one vector-Jacobian product per residual gives the rows of the camera, the chain rule
-the rest. All quantities are scalars, which may be arrays of any one shape.
+The rotation matrix depends only on the image and is differentiated once per image. The photo vector separates the
+camera from all other parts: one vector-Jacobian product per residual gives the rows of the camera, the chain rule the
+    others. All quantities are scalars, which may be arrays of one shape.
 
-Second derivatives of v^T P v / 2, which the normal equations N = A^T P A leave out: H = N + sum of w^2 v d2v. Of a ray,
+The normal equations N = A^T P A neglect second derivatives of v^T P v / 2: H = N + sum of w^2 v d2v. For a ray,
 with F = sum of w^2 v (w^2 v constant), a function of photo vector p and interior elements e, and p_X, p_a its
 derivatives with respect to the object point and to the angles:
 
     F_XX = p_X^T F_pp p_X        F_Xa = p_X^T F_pp p_a + F_p p_Xa        F_Xe = p_X^T F_pe
                                  F_aa = p_a^T F_pp p_a + F_p p_aa        F_ae = p_a^T F_pe        F_ee
 
-p contains X - X0 only: what belongs to a projection centre is what belongs to the point, of opposite sign. F_p p_aa
-comes from the second derivatives of the rotation matrix, alike for all rays of an image, and is added to their sums.
+p contains only X - X0: derivatives for a projection centre are those for the point with opposite sign. F_p p_aa
+comes from the second derivatives of the rotation matrix, equal for all rays of an image, and is added to their sums.
 """
 
 from collections.abc import Callable
@@ -32,14 +32,14 @@ from jaxbundle.geometry.rotation import Rotation, Scalar
 from jaxbundle.normals.point_blocks import Symmetric
 from jaxbundle.numerics.stored import stored
 
-Lower = list[list[Scalar]]  # rows of a lower triangle
+Lower = list[list[Scalar]]  # row indices of a lower triangle
 
 
 Image = tuple[Rotation, Vector, tuple[Scalar, ...]]  # rotation, projection centre, interior elements
 
 
 class ImageScalars(NamedTuple):
-    """What a ray takes from its image: rotation, its derivatives with respect to three angles, centre, interior."""
+    """Values of a ray's image: rotation, its derivatives with respect to three angles, centre, interior."""
 
     rotation: Rotation
     rotation_derivatives: tuple[Rotation, Rotation, Rotation]
@@ -48,7 +48,7 @@ class ImageScalars(NamedTuple):
 
 
 class Ray(NamedTuple):
-    """A ray: its image, its point, what is measured, and the square roots of the weights of its residuals."""
+    """A ray: its image, its point, measured numbers, and the square roots of the weights of its residuals."""
 
     image: ImageScalars
     point: Vector
@@ -57,7 +57,7 @@ class Ray(NamedTuple):
 
 
 class RayRows(NamedTuple):
-    """Weighted residuals of a ray, and for each its row by the unknowns of the image and by X, Y, Z."""
+    """Weighted residuals of a ray, each with its row for the unknowns of the image and for X, Y, Z."""
 
     residual: Residual
     image: list[list[Scalar]]
@@ -68,18 +68,21 @@ class RayCurvature(NamedTuple):
     """Second derivatives of F, without F_p p_aa."""
 
     point: Symmetric
-    """By the point."""
+    """With respect to the point."""
     mixed: list[Any]
-    """By the unknowns of the image and the point."""
+    """With respect to the unknowns of the image and the point."""
     image: Lower
-    """By the unknowns of the image."""
+    """With respect to the unknowns of the image."""
     rotation: Rotation
     """Gradient of F with respect to the elements of the rotation matrix."""
 
 
 class PhotoVector(NamedTuple):
-    """The photo vector of a ray and its derivatives with respect to three angles; with each the transposed derivative
-    by the object point, which takes a gradient by the photo vector to one by X, Y, Z."""
+    """The photo vector of a ray and its derivatives with respect to three angles.
+
+    Each has the transposed derivative with respect to the object point, which converts a gradient for the photo vector
+    to one for X, Y, Z.
+    """
 
     value: Vector
     to_point: Callable[[Vector], Vector]
@@ -90,9 +93,9 @@ class PhotoVector(NamedTuple):
 def image_equation(
     model: CameraModel, image: Image, point: Vector, measured: Measured, zero: Int[Array, ""] | None = None
 ) -> Residual:
-    """Residuals of a ray as a function of everything they depend on.
+    """Residuals of a ray as a function of all their arguments.
 
-    With a `zero`, photo vector and residuals are `stored`, and so are their derivatives, of which there are many.
+    With a `zero`, photo vector and residuals are `stored`, and also their numerous derivatives.
     """
     rotation, centre, interior = image
     vector = photo_vector(rotation, centre, point)
@@ -139,14 +142,14 @@ def ray_rows(o: Observations, ray: Ray) -> RayRows:
             tuple(w if j == k else jnp.zeros_like(w) for j, w in enumerate(ray.weights))
         )
         by_point = p.to_point(by_vector)
-        # the equation contains X - X0 only
+        # the equation contains only X - X0
         image_rows.append([*(-b for b in by_point), *(chained(by_vector, t) for t in p.turned), *by_interior])
         point_rows.append(by_point)
     return RayRows(tuple(r * w for r, w in zip(v, ray.weights, strict=True)), image_rows, point_rows)
 
 
 def chained(gradient: tuple[Scalar, ...], direction: tuple[Scalar, ...]) -> Scalar:
-    """Derivative along a direction from the derivatives with respect to the elements."""
+    """Directional derivative from the derivatives with respect to the elements."""
     return sum(g * d for g, d in zip(gradient, direction, strict=True))
 
 
@@ -192,5 +195,5 @@ def _by_camera(equation: Any, at: tuple[Scalar, ...], weights: tuple[Scalar, ...
 
 
 def summed(lower: Lower) -> Float[Array, "slot number"]:
-    """Sums over the columns."""
+    """Sums of arrays over the columns."""
     return jnp.concatenate([jnp.sum(x, 1, keepdims=True) for row in lower for x in row], 1)

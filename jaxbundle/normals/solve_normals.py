@@ -1,11 +1,11 @@
-"""N^-1 b and H^-1 b: the undamped equations solved for right-hand sides of any kind.
+"""Solving the undamped equations for arbitrary right-hand sides: N^-1 b and H^-1 b.
 
     [ U    W ] [t]   [b_t]        u = V^-1 b_X                               images' rows:  S t = b_t - W u
     [ W^T  V ] [X] = [b_X]        X = V^-1 (b_X - W^T t)
 
 N = A^T P A, or with all second derivatives of v^T P v / 2, H = N + sum of w^2 v d2v, which has the same blocks. One
-elimination serves all right-hand sides. Functions of the unknowns get their variances from N^-1, a free network its
-S-transformation; derivatives of the adjusted unknowns take H^-1.
+elimination is used for all right-hand sides. N^-1 is used for variances of functions of the unknowns and for the
+S-transformation of free networks, H^-1 for derivatives of the adjusted unknowns.
 """
 
 import dataclasses
@@ -30,7 +30,7 @@ from jaxbundle.numerics.devices import AXIS
 
 
 def solve_normals(unknowns: OrderedUnknowns, p: Problem, right: NormalVector, exact: bool = False) -> NormalVector:
-    """N^-1 b for every vector of the leading axis, H^-1 b if `exact`; not finite where the matrix is not positive."""
+    """Computes N^-1 b for each vector of the leading axis, H^-1 b if `exact`; not finite if not positive definite."""
     of_tiles: Any = PartitionSpec(None, None, AXIS)
     vectors = NormalVector(EVERYWHERE, EVERYWHERE, of_tiles)
     return over_devices(_on_device, linearise(unknowns, p, exact), vectors, (right,), (vectors,))
@@ -41,7 +41,7 @@ def _on_device(linear: Linearised, right: NormalVector) -> NormalVector:
 
 
 def inverse_products(unknowns: OrderedUnknowns, p: Problem, b: NormalVector) -> Float[Array, "vector vector"]:
-    """b^T N^-1 b of all pairs of vectors of the leading axis, on one device: no vector is substituted back.
+    """Products b^T N^-1 b of all pairs of vectors of the leading axis, on one device, without back-substitution.
 
     b^T N^-1 b = r^T S^-1 r + b_X^T V^-1 b_X,    r = b_t - W V^-1 b_X
     """
@@ -64,7 +64,7 @@ def _inverse_products(linear: Linearised, b: NormalVector) -> Float[Array, "vect
 
 
 class _Factorised(NamedTuple):
-    """The equations as one device has them, factorised."""
+    """The factorised equations of one device."""
 
     linear: Linearised
     reduced: ReducedFactor | ImplicitEquations
@@ -108,7 +108,7 @@ def _factorised(linear: Linearised) -> _Factorised:
 
 
 def _with_second_rotations(linear: Linearised, gradient: Float[Array, "image 9"] | None) -> Linearised:
-    """With what the second derivatives of the rotations add, by the rays' gradient with respect to the matrices."""
+    """Adds the second derivatives of the rotations times the gradient of the rays with respect to the matrices."""
     if gradient is None or linear.d2_rotation is None:
         return linear
     bent = jnp.einsum("ie,eabi->iab", gradient, linear.d2_rotation)

@@ -2,7 +2,8 @@
 
     linearise and eliminate (tiles)  ->  reduced equations  ->  solve  ->  substitute back and evaluate (tiles)
 
-The tiles are shared out to the devices, the sums over the images added up over them; all solve the reduced equations.
+The tiles are distributed over the devices, and the sums over the images are added; all devices solve the reduced
+equations.
 """
 
 from typing import Any, NamedTuple
@@ -35,28 +36,31 @@ from jaxbundle.numerics.devices import device_mesh, put
 
 
 class Trial(NamedTuple):
-    """A trial step at some damping; all reductions belong to v^T P v / 2."""
+    """A trial step with some damping; all reductions are of v^T P v / 2."""
 
     unknowns: OrderedUnknowns
-    """After the step."""
+    """The unknowns after the step."""
     cost: Float[Array, ""]
     """v^T P v / 2 before the step."""
     reduction: Float[Array, ""]
-    """By how much the step reduces it."""
+    """Reduction of v^T P v / 2 by the step."""
     predicted: Float[Array, ""]
-    """By how much the linearised equations say it would."""
+    """Reduction predicted by the linearised equations."""
     residual_change: Float[Array, ""]
-    """|change of v|^2, of first order |J d|^2: a sum of squares and so, unlike g . d, free of cancellation."""
+    """Squared norm of the change of v, |J d|^2 in first order: a sum of squares without cancellation, unlike g . d."""
     noise: Float[Array, ""]
-    """v^T P v / 2 of residuals that are nothing but rounding."""
+    """v^T P v / 2 of rounding errors."""
     finite: Bool[Array, ""]
     steepness: Float[Array, ""]
-    """Maximum of |J_k^T P v| / |J_k| over all unknowns k before the step: no unit, 0 at a minimum, at most |v|."""
+    """Maximum of |J_k^T P v| / |J_k| over all unknowns k before the step: without unit, 0 at a minimum, at most |v|."""
 
 
 def linearise(unknowns: OrderedUnknowns, p: Problem, exact: bool = False) -> Linearised:
-    """What is computed once per linearisation outside of the tiles: the table of the images, and observations that are
-    not rays of eliminated points; `exact`: with all second derivatives."""
+    """Computes the values of a linearisation outside the tiles.
+
+    These are the table of the images and observations other than rays of eliminated points; `exact`: with all second
+    derivatives.
+    """
     o, images = p.observations, unknowns.images
     d_rotation = attitude_derivatives(images.rotation, o.in_angles, o.system)
     sums = add_border_rays(no_sums(p, images.rotation.shape[1]), images, d_rotation, p)
@@ -89,7 +93,7 @@ class Reduced(NamedTuple):
 
 
 def reduced_system(rays: RaySums, linear: Linearised) -> Reduced:
-    """The reduced normal equations of images and border from all sums; `rays`: those of all devices."""
+    """The reduced normal equations of images and border from all sums; `rays`: sums of all devices."""
     p, sums = linear.problem, linear.sums
     d, q, inner = p.layout.image, p.layout.shared, p.layout.first_parameter
     m = d + q + 2
@@ -123,7 +127,7 @@ def reduced_system(rays: RaySums, linear: Linearised) -> Reduced:
 
 
 class _RayPart(NamedTuple):
-    """What the tiles tell of a step."""
+    """Result of the tiles for a step."""
 
     images: Unknowns
     tiles: Float[Array, "3 tile column"]
@@ -137,7 +141,7 @@ class _RayPart(NamedTuple):
 
 
 def _on_device(linear: Linearised, damping: Array) -> _RayPart:
-    """The whole step as one device sees it."""
+    """The whole step on one device."""
     p, o = linear.problem, linear.problem.observations
     rays, stored = eliminate(linear, damping)
     reduced = reduced_system(linear.total(rays), linear)
@@ -165,7 +169,7 @@ def _on_device(linear: Linearised, damping: Array) -> _RayPart:
 
 
 def reduced_steepness(reduced: Reduced) -> Float[Array, ""]:
-    """The maximum of g_k^2 / N_kk over the unknowns of images and border that are free."""
+    """The maximum of g_k^2 / N_kk over the free unknowns of images and border."""
     system, gradient = reduced
     images = system.free & (system.diagonal > 0), gradient.images, system.diagonal
     border = system.border_free & (system.border_diagonal > 0), gradient.border, system.border_diagonal
@@ -183,7 +187,7 @@ def trial_step(unknowns: OrderedUnknowns, p: Problem, damping: Float[Array, ""])
     after = OrderedUnknowns(part.images, part.tiles)
     pairs = list(zip(other_residuals(unknowns, p), other_residuals(after, p), strict=True))
     cost = part.cost + 0.5 * sum(jnp.sum(v * v) for v, _ in pairs)
-    # v^2 - w^2 as a product: the difference of two nearly equal sums would be noise near the minimum
+    # v^2 - w^2 as a product: near the minimum the difference of two nearly equal sums is noise
     reduction = part.reduction + 0.5 * sum(jnp.sum((v - w) * (v + w)) for v, w in pairs)
     return Trial(
         after,
@@ -198,7 +202,7 @@ def trial_step(unknowns: OrderedUnknowns, p: Problem, damping: Float[Array, ""])
 
 
 def placed(unknowns: OrderedUnknowns, p: Problem, state: Any) -> tuple[OrderedUnknowns, Problem, Any]:
-    """Arguments of the solver put where its steps will leave them: the first step runs in the program of the others."""
+    """Distributes the arguments of the solver like the results of its steps, so that all steps use the same program."""
     if p.devices == 1:
         return unknowns, p, state
     mesh = device_mesh(p.devices)

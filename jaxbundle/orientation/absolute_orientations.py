@@ -21,9 +21,8 @@ DISTINCT = 1e-4  # differences of rotation matrices and logarithms of scales: be
 UNDETERMINED = 1e-10  # ratio of minimum and maximum eigenvalue of the normal equations with a unit diagonal
 ON_A_LINE = 1e-3  # ratio of the extents across and along a line
 ALIKE = 9.0  # in units of sigma0^2: orientations with a smaller increase of the sum of squares are possible (3 sigma)
-MIRRORED_PART = (
-    1e-3  # ratio of third and first singular value: below this the points are in a plane, which has no mirror image
-)
+# ratio of third and first singular value: below this the points are in a plane, which has no mirror image
+MIRRORED_PART = 1e-3
 
 
 class AbsoluteOrientation(eqx.Module):

@@ -86,8 +86,7 @@ def adjusted_image(
 
 
 def _in_parts(of_images: Callable[..., AdjustedImage], size: int, data: tuple[Measured, Start | None]) -> AdjustedImage:
-    """Adjusts images in groups that fit into the processor's cache; images are last in `data`, first in the
-    result."""
+    """Adjusts images in groups that fit into the processor's cache; images are last in `data`, first in the result."""
     parts = -(-size // IMAGES_AT_ONCE)
     length = LINE * (
         -(-size // (parts * LINE)) | 1

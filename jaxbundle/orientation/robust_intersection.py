@@ -30,8 +30,7 @@ class Rays(NamedTuple):
 
 
 class Met(NamedTuple):
-    """Points, NaN if their rays do not intersect; mask of the fitting rays, and the misfits in standard
-    deviations."""
+    """Points, NaN if their rays do not intersect; mask of the fitting rays, and the misfits in standard deviations."""
 
     points: Float[np.ndarray, "point 3"]
     fits: Bool[np.ndarray, " ray"]

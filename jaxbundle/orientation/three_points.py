@@ -38,9 +38,8 @@ from jaxbundle.numerics.stored import stored
 from jaxbundle.orientation.one_image import Measured, Orientation
 
 Triple = tuple[Vector, Vector, Vector]
-NEWTON_STEPS = (
-    5  # a candidate from the closed form has 8 digits or is not a solution; at a double root a step halves the error
-)
+# a candidate from the closed form has 8 digits or is not a solution; at a double root a step halves the error
+NEWTON_STEPS = 5
 SOLVED = 1e-9  # share of the squares of the sides: misfit of the law of cosines
 SAME = 1e-7  # share of the distances: solutions that differ by less are equal
 

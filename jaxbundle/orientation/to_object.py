@@ -70,8 +70,7 @@ class Views(NamedTuple):
 def closed_form(
     x: Float[np.ndarray, "... point 3"], o: Float[np.ndarray, "... point 3"], w: Float[np.ndarray, "... point"]
 ) -> tuple[np.ndarray, np.ndarray, np.ndarray, np.ndarray]:
-    """Scale, rotation and shift of weighted points, and singular values, for many sets at once on the
-    host."""
+    """Scale, rotation and shift of weighted points, and singular values, for many sets at once on the host."""
     w = w / w.sum(-1, keepdims=True)
     cx, co = (w[..., None] * x).sum(-2, keepdims=True), (w[..., None] * o).sum(-2, keepdims=True)
     u, d, vt = np.linalg.svd(np.swapaxes(o - co, -1, -2) @ (w[..., None] * (x - cx)))

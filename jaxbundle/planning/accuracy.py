@@ -1,7 +1,7 @@
-"""What a predicted precision is worth: measures of it, and the check of a specification.
+"""Measures of a predicted precision, and the check of a specification.
 
-Measures are differentiable functions of variances, so that `jax.grad` goes from a measure to whatever the block is made
-of. They judge the points that are not control, in the coordinates that are unknown.
+Measures are differentiable functions of variances, so that `jax.grad` of a measure works for all values of the block.
+They use the unknown coordinates of points that are not control.
 """
 
 from collections.abc import Callable
@@ -26,7 +26,7 @@ EQUAL = (1.0, 1.0, 1.0)
 
 
 class Specification(NamedTuple):
-    """Largest standard deviations of X and Y (each) and of Z, object unit, that a share of the points has to keep.
+    """A specification: maximum standard deviations of X, Y (each) and Z, object unit, for a share of the points.
 
     Example:
         >>> jb.planning.Specification(xy=0.05, z=0.08).share
@@ -39,7 +39,7 @@ class Specification(NamedTuple):
 
 
 class Check(NamedTuple):
-    """How a prediction keeps a specification.
+    """The check of a prediction against a specification.
 
     Example:
         >>> check = jb.planning.check_specification(prediction, jb.planning.Specification(xy=1.0, z=2.0))
@@ -50,12 +50,12 @@ class Check(NamedTuple):
     share_xy: float
     share_z: float
     share: float
-    """Of the points that keep both."""
+    """Share of the points that meet both limits."""
     passed: bool
 
 
 class Summary(NamedTuple):
-    """The predicted standard deviations of the judged points, object unit; `worst`: names of points."""
+    """Statistics of the predicted standard deviations of the selected points, object unit; `worst`: names of points."""
 
     judged: int
     """Number of points."""
@@ -66,7 +66,7 @@ class Summary(NamedTuple):
 
 
 def control_of(block: Block) -> Bool[np.ndarray, " point"]:
-    """Points with an observed or a fixed coordinate."""
+    """Mask of the points with an observed or fixed coordinate."""
     structure = block.structure
     found = np.array(~structure.point_free.all(1))
     for group in block.groups:
@@ -77,13 +77,13 @@ def control_of(block: Block) -> Bool[np.ndarray, " point"]:
 
 
 def judged_points(block: Block) -> Bool[np.ndarray, " point"]:
-    """Points that a measure looks at: all but the control points; all of them where there is nothing else."""
+    """Mask of the points of a measure: all but control points; all points if there are only control points."""
     control = control_of(block)
     return ~control if not control.all() else np.ones_like(control)
 
 
 def in_area(block: Block, plan: FlightPlan) -> Points:
-    """The points of a flight that matter: within its area, and not control; all but control of a flight without one.
+    """Mask of the relevant points of a flight: within its area, if there is one, and not control.
 
     Example:
         >>> jb.planning.in_area(flight.truth, plan).dtype
@@ -96,7 +96,7 @@ def in_area(block: Block, plan: FlightPlan) -> Points:
 
 
 def point_variances(prediction: Prediction, points: Points | None = None) -> Float[Array, "point 3"]:
-    """Variances of X, Y, Z of the judged points, or of others."""
+    """Variances of X, Y, Z of the selected points."""
     blocks = prediction.cofactors.object_points
     xp = array_module(blocks)
     chosen = np.flatnonzero(judged_points(prediction.block) if points is None else points)
@@ -104,7 +104,7 @@ def point_variances(prediction: Prediction, points: Points | None = None) -> Flo
 
 
 def mean_variance(weights: Weights = EQUAL, points: Points | None = None) -> Measure:
-    """The mean variance of the judged points, X, Y and Z weighted: the criterion A of optimal design.
+    """The mean variance of the selected points, X, Y and Z weighted: the criterion A of optimal design.
 
     Example:
         >>> bool(jb.planning.mean_variance()(prediction) > 0)
@@ -117,7 +117,7 @@ def mean_variance(weights: Weights = EQUAL, points: Points | None = None) -> Mea
 def smooth_worst(sharpness: float = 20.0, weights: Weights = EQUAL, points: Points | None = None) -> Measure:
     """A smooth maximum of the weighted variances of the points, (1/beta) log mean exp(beta variance).
 
-    beta is `sharpness` over the largest variance: the result is below the maximum by log(points) / beta at most.
+    beta is `sharpness` divided by the maximum variance: the result is at most log(points) / beta below the maximum.
 
     Example:
         >>> bool(jb.planning.smooth_worst()(prediction) > jb.planning.mean_variance()(prediction))
@@ -151,7 +151,7 @@ def smooth_share(specification: Specification, width: float = 0.1, points: Point
 
 
 def check_specification(prediction: Prediction, specification: Specification, points: Points | None = None) -> Check:
-    """Whether enough points keep a specification; `points`: the judged ones, all but control unless given.
+    """Checks whether enough points meet a specification; `points`: by default all but control.
 
     Raises: ValueError for limits that are not positive or a share that is not from 0 to 1.
 
@@ -168,7 +168,7 @@ def check_specification(prediction: Prediction, specification: Specification, po
 
 
 def summary_of(prediction: Prediction, points: Points | None = None) -> Summary:
-    """The judged points, all but control unless others are given, in a few numbers.
+    """A few statistics of the selected points, by default all but control.
 
     Example:
         >>> type(jb.planning.summary_of(prediction)).__name__

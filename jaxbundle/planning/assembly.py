@@ -1,4 +1,4 @@
-"""From a drawn flight to a block: structure, observations, their errors, and rough approximate values."""
+"""Making a block of a drawn flight: structure, observations, errors, and rough approximate values."""
 
 import math
 
@@ -24,12 +24,12 @@ from jaxbundle.planning.drawn_flight import Incidence, Scene
 from jaxbundle.planning.flight import SCATTER, AerialCamera, FlightPlan
 from jaxbundle.planning.navigation_errors import Observed
 
-ROUGH_ANGLE = math.radians(1.0)  # approximate attitudes off the truth; positions are off by SCATTER
-LONG = 1.002  # principal distance at the start over the true one, where it is estimated
+ROUGH_ANGLE = math.radians(1.0)  # errors of approximate attitudes; errors of positions are SCATTER
+LONG = 1.002  # ratio of approximate and true principal distance, if it is estimated
 
 
 def structure_of(plan: FlightPlan, scene: Scene, seen: Incidence, navigation: Observed) -> Structure:
-    """Names, incidences and what is unknown."""
+    """The structure: names, indices and masks of the unknowns."""
     camera, model = plan.camera, plan.camera.model
     names = scene.stations.names
     exterior_free = np.ones((len(names), 6), bool)
@@ -58,7 +58,7 @@ def structure_of(plan: FlightPlan, scene: Scene, seen: Incidence, navigation: Ob
 
 
 def _check_points(plan: FlightPlan, scene: Scene) -> np.ndarray:
-    """Those of the list, or tie points at equal distances in the order of all."""
+    """Check points of the list, or tie points at equal distances in the order of all."""
     if not isinstance(plan.check_points, int):
         return np.flatnonzero(scene.listed_check)
     control = int(scene.is_control.sum())
@@ -105,7 +105,7 @@ def _control(scene: Scene) -> tuple[ObservationGroup, ...]:
 
 
 def with_errors(truth: Block, noise: float, rng: np.random.Generator) -> Block:
-    """The block with normal errors in everything observed."""
+    """The block with normal errors of all observations."""
 
     def measured(values: Array, sigmas: Array, observed: Bool[np.ndarray, "..."] | bool) -> Array:
         return values + jnp.where(observed, noise * sigmas * rng.standard_normal(values.shape), 0.0)
@@ -119,7 +119,7 @@ def with_errors(truth: Block, noise: float, rng: np.random.Generator) -> Block:
 
 
 def with_gross_errors(block: Block, plan: FlightPlan, rng: np.random.Generator) -> tuple[Block, np.ndarray]:
-    """The block with gross errors in some rays, and which these are."""
+    """The block with gross errors of some rays, and these rays."""
     count = round(plan.gross_errors.share * len(block.structure.ray_image))
     if not count:
         return block, np.zeros(0, int)
@@ -131,7 +131,7 @@ def with_gross_errors(block: Block, plan: FlightPlan, rng: np.random.Generator) 
 
 
 def with_approximations(block: Block, plan: FlightPlan, rng: np.random.Generator) -> Block:
-    """The block with rough values in place of what is unknown, and given ones in place of what is held."""
+    """The block with approximate values for unknowns and given values for fixed elements."""
     structure, size, camera = block.structure, SCATTER * plan.height, plan.camera
     rough = np.where(structure.exterior_free, rng.standard_normal(structure.exterior_free.shape), 0.0)
     points = np.where(structure.point_free, size * rng.standard_normal(structure.point_free.shape), 0.0)

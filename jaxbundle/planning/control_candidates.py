@@ -1,9 +1,10 @@
-"""Covariances of a block's points with the places where control may stand.
+"""Covariances of a block's points with possible positions of control.
 
-    C_tk = F_t N^-1 F_k^T        t: judged points, k: candidates, from the factorised normal equations, column by column
+    C_tk = F_t N^-1 F_k^T        t: selected points, k: candidates, from the factorised normal equations, column by
+    column
 
-A block whose datum hangs on the control that is searched for needs something in its place: all candidates have weak
-control, `prior` standard deviations, before any of them is chosen.
+If the datum depends on the control that is searched for, it needs a replacement: before the selection all candidates
+have weak control with standard deviations `prior`.
 """
 
 import dataclasses
@@ -26,24 +27,24 @@ from jaxbundle.numerics.shapes import grid_size
 from jaxbundle.planning.flight import CONTROL_KINDS
 from jaxbundle.planning.prediction import predict, with_exact_observations
 
-PRIOR = 100.0  # of the mean standard deviation of a ray on the ground: far beyond what a block with control has
-MAX_NUMBERS = 200_000_000  # of the columns of candidates: 1.6 GB
+PRIOR = 100.0  # factor of the mean standard deviation of a ray on the ground: far larger than in a block with control
+MAX_NUMBERS = 200_000_000  # maximum number of elements of the columns of candidates: 1.6 GB
 
 
 class Candidates(NamedTuple):
-    """A block at the candidates: covariances without any of them, and what each would add.
+    """A block and its candidates: covariances without any candidate, and the weight that each would add.
 
-    The coordinates of candidates are those of the kind of control that is searched for.
+    The coordinates of candidates are those of the kind of control.
     """
 
     points: Int[np.ndarray, " candidate"]
-    """Which points of the block they are."""
+    """Indices of the candidates in the block."""
     judged: Int[np.ndarray, " target"]
     variances: Float[np.ndarray, "target 3"]
     cross: Float[np.ndarray, "target 3 candidate coordinate"]
     own: Float[np.ndarray, "candidate coordinate candidate coordinate"]
     noise: Float[np.ndarray, " coordinate"]
-    """Variances that a chosen candidate is conditioned with: of its control, less what the weak control has told."""
+    """Variances of a selected candidate: those of its control, corrected for the weak control."""
 
 
 def candidates_of(
@@ -58,15 +59,15 @@ def candidates_of(
     """Covariances of a block with possible control.
 
     Args:
-        block: the block at its expected values, with the control that stays and without any that is searched for.
+        block: the block at its expected values, with the existing control.
         points: the points that may become control.
         sigmas: standard deviations of X, Y, Z of new control, object unit; 0 for errorless.
         kind: "full", "plan" or "height".
         prior: standard deviation of the weak control, object unit; unless given, 100 times that of a ray on the ground.
 
-        judged: the points whose precision counts; all whose coordinates are unknown unless given.
+        judged: the points whose precision counts; by default all with unknown coordinates.
 
-    Raises: ValueError for an unknown kind, points that are not there, or more candidates than memory.
+    Raises: ValueError for an unknown kind, points that do not exist, or too many candidates for the memory.
 
     Example:
         >>> candidates = jb.planning.candidates_of(flight.truth, np.arange(4), (0.02, 0.02, 0.03), prior=100.0)
@@ -107,7 +108,7 @@ def ground_sigma(block: Block) -> float:
 
 
 def with_weak_control(block: Block, points: Int[np.ndarray, " candidate"], sigma: float) -> Block:
-    """The block with observed coordinates of these points, of so large a sigma that they only give the datum."""
+    """The block with observed coordinates of these points, with such large sigmas that they only define the datum."""
     values = np.asarray(block.object_points)[points]
     group = observation_group(CONTROL, np.asarray(points)[:, None], values, np.full(values.shape, sigma))
     free = np.ones_like(block.structure.exterior_free) if block.structure.datum.held else block.structure.exterior_free

@@ -1,8 +1,8 @@
-"""Where k control points should stand: exchange on the covariance, and a lower bound of all layouts.
+"""Optimal positions of k control points: exchange on the covariance, and a lower bound of all layouts.
 
     C'  = C - C_k (C_kk + S)^-1 C_k^T                      a layout k chosen: one update, no normal equations
     f(z) = tr W (M_0 + sum z_i F_i)^-1 / sum W             convex in 0 <= z <= 1, sum z = k; its minimum is below all
-    df/dz_i = - tr F_i (Q W Q)_ii                          F = S^-1: what control at a candidate would tell
+    df/dz_i = - tr F_i (Q W Q)_ii                          F = S^-1: weight of control at a candidate
     f(z) - g^T (z - d) <= f of every layout                d: 1 at the k most negative g, else 0 (Frank & Wolfe 1956)
 
 (Joshi & Boyd 2009, IEEE TSP 57(2) 451: relaxation, rounding, exchange.) The bound may be far below the best layout
@@ -18,13 +18,13 @@ from jaxtyping import Float, Int
 from jaxbundle.planning.control_candidates import Candidates
 
 CRITERIA = ("mean", "worst")
-SWEEPS = 30  # of the exchange; it ends by itself after a few
-STEPS = 150  # of the relaxation
-GAIN = 1e-9  # relative: an exchange that gains less is none
+SWEEPS = 30  # maximum rounds of the exchange; it converges after a few
+STEPS = 150  # steps of the relaxation
+GAIN = 1e-9  # minimum relative gain of an exchange
 
 
 class Objective(NamedTuple):
-    """What is to be small: the "mean" or the "worst" of the points' variances, X, Y, Z weighted.
+    """The objective: the "mean" or the "worst" of the points' variances, X, Y, Z weighted.
 
     Example:
         >>> jb.planning.Objective("worst").weights
@@ -35,16 +35,16 @@ class Objective(NamedTuple):
     weights: tuple[float, float, float] = (1.0, 1.0, 1.0)
 
     def value(self, variances: Float[np.ndarray, "*other target 3"]) -> Float[np.ndarray, "*other"]:
-        """The objective of variances."""
+        """The value of the objective for variances."""
         by_point = variances @ (np.asarray(self.weights) / np.sum(self.weights))
         if self.criterion == "mean":
             return by_point.mean(-1)
-        # the mean tells layouts apart whose worst points are equally bad
+        # the mean distinguishes layouts with equal worst points
         return by_point.max(-1) + 1e-6 * by_point.mean(-1)
 
 
 class Layout(NamedTuple):
-    """A layout of control points and what it leads to.
+    """A layout of control points and its result.
 
     Example:
         >>> candidates = jb.planning.candidates_of(flight.truth, np.arange(4), (0.02, 0.02, 0.03), prior=100.0)
@@ -53,16 +53,16 @@ class Layout(NamedTuple):
     """
 
     points: Int[np.ndarray, " chosen"]
-    """Which points of the block become control."""
+    """Indices of the points of the block that become control."""
     objective: float
-    """In squared object units."""
+    """Value of the objective in squared object units."""
     variances: Float[np.ndarray, "target 3"]
     bound: float
-    """No layout of so many points has a smaller objective; NaN where it was not computed."""
+    """Lower bound of the objective of all layouts with this number of points; NaN if not computed."""
 
     @property
     def gap(self) -> float:
-        """How much smaller the objective of another layout may be, as a share of this one's."""
+        """Maximum relative decrease of the objective by another layout."""
         return 1 - self.bound / self.objective
 
 
@@ -70,13 +70,13 @@ MEAN = Objective()
 
 
 def best_layout(candidates: Candidates, count: int, objective: Objective = MEAN, bound: bool = True) -> Layout:
-    """The best layout found of `count` points: exchange from a greedy start and from the rounded relaxation.
+    """Finds a layout of `count` points: exchange from a greedy start and from the rounded relaxation.
 
     Args:
-        candidates: covariances of the block with the places.
+        candidates: covariances of the block with the candidates.
         count: k, number of points.
-        objective: what is to be small.
-        bound: compute the lower bound; for the mean, and control with errors.
+        objective: the quantity to minimise.
+        bound: whether the lower bound is computed; for the mean, and control with errors.
 
     Raises: ValueError for more points than candidates or an unknown criterion.
 
@@ -103,7 +103,7 @@ def best_layout(candidates: Candidates, count: int, objective: Objective = MEAN,
 
 
 def spread_start(candidates: Candidates, count: int) -> list[int]:
-    """Places far from each other: each next one has the largest uncertainty relative to those before it."""
+    """Distant positions: each next one has the largest uncertainty relative to those before it."""
     chosen: list[int] = []
     for _ in range(count):
         own = conditioned(candidates, chosen).own
@@ -114,12 +114,12 @@ def spread_start(candidates: Candidates, count: int) -> list[int]:
 
 
 def value_of(candidates: Candidates, chosen: list[int], objective: Objective) -> float:
-    """The objective of a layout, places by their numbers among the candidates."""
+    """The objective of a layout, given by indices of candidates."""
     return float(objective.value(conditioned(candidates, chosen).variances))
 
 
 def conditioned(candidates: Candidates, chosen: list[int]) -> Candidates:
-    """The covariances once these candidates are control."""
+    """The covariances with these candidates as control."""
     if not chosen:
         return candidates
     c, total = candidates.own.shape[1], len(candidates.points)
@@ -138,10 +138,10 @@ def conditioned(candidates: Candidates, chosen: list[int]) -> Candidates:
 
 
 def after_each(candidates: Candidates, objective: Objective) -> Float[np.ndarray, " candidate"]:
-    """The objective with each candidate added to what is chosen."""
+    """The objective with each candidate added to the selection."""
     total, c = candidates.own.shape[:2]
     matrices = candidates.own[np.arange(total), :, np.arange(total)] + np.diag(candidates.noise)
-    # a fixed candidate that is chosen already has nothing to tell
+    # a fixed candidate that is already selected adds no information
     inverse = np.linalg.pinv(matrices, hermitian=True)
     by_candidate = candidates.cross.transpose(2, 0, 1, 3)
     told = by_candidate @ inverse[:, None]
@@ -149,7 +149,7 @@ def after_each(candidates: Candidates, objective: Objective) -> Float[np.ndarray
 
 
 def greedy(candidates: Candidates, count: int, objective: Objective) -> list[int]:
-    """One point after the other, each where it helps most."""
+    """Adds one point after the other, each with the largest gain."""
     chosen: list[int] = []
     for _ in range(count):
         values = after_each(conditioned(candidates, chosen), objective)
@@ -159,7 +159,7 @@ def greedy(candidates: Candidates, count: int, objective: Objective) -> list[int
 
 
 def exchange(candidates: Candidates, start: list[int], objective: Objective) -> list[int]:
-    """Exchanges one point at a time for a better place until none helps (Fedorov 1972)."""
+    """Exchanges one point at a time for a better position until there is no gain (Fedorov 1972)."""
     chosen, value = list(start), value_of(candidates, start, objective)
     for _ in range(SWEEPS):
         before = value
@@ -180,10 +180,10 @@ def relaxation(
 ) -> tuple[Float[np.ndarray, " candidate"], float]:
     """Shares z of the candidates with the smallest mean variance, by projected gradients, and the lower bound.
 
-    Raises: ValueError for errorless control, of which no share can be taken.
+    Raises: ValueError for errorless control, which cannot be divided.
     """
     if not (candidates.noise > 0).all():
-        raise ValueError("errorless control cannot be shared out: give sigmas for a lower bound")
+        raise ValueError("errorless control cannot be divided: give sigmas for a lower bound")
     relaxed = _Relaxed(candidates, np.asarray(weights) / np.sum(weights))
     z = np.full(len(candidates.points), count / len(candidates.points))
     value, gradient = relaxed(z)
@@ -204,7 +204,7 @@ def relaxation(
 
 
 class _Relaxed:
-    """f and its gradient."""
+    """The function f and its gradient."""
 
     def __init__(self, candidates: Candidates, weights: Float[np.ndarray, "3"]):
         total, c = candidates.own.shape[:2]

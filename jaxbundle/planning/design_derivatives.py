@@ -1,8 +1,8 @@
-"""Derivatives of a predicted accuracy with respect to what a flight is designed by.
+"""Derivatives of a predicted accuracy with respect to the design parameters of a flight.
 
-One reverse pass through the prediction gives the derivatives with respect to every value of the block at once; those
-with respect to overlaps and flying height follow from the block as a function of them. Who sees which point stays as it
-is: the derivatives hold for changes that bring no point to another image.
+One reverse pass through the prediction gives the derivatives with respect to all values of the block; those
+with respect to overlaps and flying height follow from the block as a function of them. The visibility of points is
+constant: the derivatives are valid for changes that do not move points to other images.
 """
 
 import math
@@ -26,7 +26,7 @@ from jaxbundle.planning.prediction import predict
 
 
 class Stretch(NamedTuple):
-    """Relative changes of a flight: along and across its strips, and in height; 0 leaves it as it is.
+    """Relative changes of a flight: along and across its strips, and in height; 0 means no change.
 
     Example:
         >>> jb.planning.Stretch(height=0.1)
@@ -39,26 +39,26 @@ class Stretch(NamedTuple):
 
 
 class Derivatives(NamedTuple):
-    """Derivatives of a measure, in its unit per unit of what it is differentiated by."""
+    """Derivatives of a measure with respect to design parameters."""
 
     value: float
     """The measure itself, in squared object units for a variance."""
     control: Int[np.ndarray, " control"]
-    """Which points are control."""
+    """Indices of the control points."""
     control_positions: Float[np.ndarray, "control 3"]
-    """Per object unit."""
+    """With respect to positions of control, per object unit."""
     control_sigmas: Float[np.ndarray, "control 3"]
-    """Per object unit; 0 for what is fixed or not observed."""
+    """With respect to sigmas of control, per object unit; 0 for fixed or unobserved coordinates."""
     image_sigma: float
-    """Per unit of the sigma of all rays together, as a factor: per 100 % of it."""
+    """With respect to a common factor of the sigmas of all rays: per 100 %."""
     navigation_sigma: float
-    """Per 100 % of the sigmas of all centres and attitudes observed in flight; 0 without them."""
+    """With respect to a common factor of the sigmas of observed centres and attitudes: per 100 %; 0 without them."""
     forward_overlap: float
-    """Per unit of the overlap, a share: 0.01 is one percent."""
+    """With respect to the forward overlap as a share: 0.01 is one percent."""
     side_overlap: float
-    """Per unit of the overlap."""
+    """With respect to the side overlap as a share."""
     height: float
-    """Per object unit of the flying height, overlaps and control unchanged."""
+    """With respect to the flying height, per object unit, with constant overlaps and control."""
 
 
 def derivatives_of(block: Block, plan: FlightPlan, measure: Measure) -> Derivatives:
@@ -69,8 +69,8 @@ def derivatives_of(block: Block, plan: FlightPlan, measure: Measure) -> Derivati
         plan: the flight, for its heading, overlaps and height.
         measure: a differentiable function of a `Prediction`, such as `mean_variance()`.
 
-    Returns: the derivatives. A measure that should become small is improved against their sign. Overlaps change the
-    distances of stations and, with them, of all points; the control moves along.
+    Returns: the derivatives. To decrease the measure, change the parameters against the sign of the derivatives.
+    Overlaps change the distances of stations and of all points, including control.
 
     Example:
         >>> found = jb.planning.derivatives_of(flight.truth, plan, jb.planning.mean_variance())
@@ -82,7 +82,7 @@ def derivatives_of(block: Block, plan: FlightPlan, measure: Measure) -> Derivati
     def measured(block: Block, stretch: Stretch) -> Array:
         return measure(predict(stretched(block, plan, stretch)))
 
-    block = with_datum(block)  # chosen outside of jit
+    block = with_datum(block)  # selected outside jit
     differentiated = jax.jit(jax.value_and_grad(measured, argnums=(0, 1)), compiler_options=_compilation(block))
     value, (by_block, by_stretch) = differentiated(block, zero)
     control = np.flatnonzero(control_of(block))
@@ -108,15 +108,15 @@ def derivatives_of(block: Block, plan: FlightPlan, measure: Measure) -> Derivati
 
 
 def _compilation(block: Block) -> dict[str, int | bool]:
-    """Options of the compiler: a small block wants its program quickly."""
+    """Options of the compiler: fast compilation for small blocks."""
     return QUICKLY if len(block.structure.ray_image) < RAYS_FOR_OPTIMISATION else {}
 
 
 def stretched(block: Block, plan: FlightPlan, stretch: Stretch) -> Block:
-    """The block of a flight with other overlaps or another height; goes through jit, grad and vmap.
+    """The block of a flight with other overlaps or another height; works with jit, grad and vmap.
 
     Stations and points are stretched about their centre, along and across the strips; a relative change of the height
-    stretches both and raises the stations over the ground. Heights of points stay.
+    stretches both and raises the stations over the ground. Heights of points are constant.
 
     Example:
         >>> higher = jb.planning.stretched(flight.truth, plan, jb.planning.Stretch(height=0.1))
@@ -149,16 +149,16 @@ def stretched(block: Block, plan: FlightPlan, stretch: Stretch) -> Block:
 def steepest_positions(
     block: Block, points: Int[np.ndarray, " control"], measure: Measure, reach: float, steps: int = 10
 ) -> tuple[Block, list[float]]:
-    """Moves control points in X and Y against the gradient of a measure, as long as it falls.
+    """Moves control points in X and Y against the gradient of a measure, as long as it decreases.
 
     Args:
         block: the planned block.
         points: the control points to move.
-        measure: what is to become small.
-        reach: how far a point may go from where it stands, object unit; who sees it must not change within it.
-        steps: largest number of steps.
+        measure: the measure to minimise.
+        reach: maximum displacement of a point, object unit; its visibility must not change within it.
+        steps: maximum number of steps.
 
-    Returns: the block with its control moved, and the measure before and after every step.
+    Returns: the block with its control moved, and the measure before and after each step.
 
     Example:
         >>> corner, measure = np.array([0]), jb.planning.mean_variance()
@@ -166,7 +166,7 @@ def steepest_positions(
         >>> bool(measures[-1] <= measures[0])
         True
     """
-    block = with_datum(block)  # chosen outside of jit
+    block = with_datum(block)  # selected outside jit
     start = np.asarray(block.object_points)[points, :2]
 
     def of_positions(xy: Array) -> Array:

@@ -1,4 +1,4 @@
-"""A flight that has been drawn: true orientations, true points, and which image shows which point."""
+"""A random realisation of a flight: true orientations, true points, and the visible points of each image."""
 
 import math
 from typing import NamedTuple
@@ -11,8 +11,8 @@ from jaxbundle.planning.flight import FlightPlan
 from jaxbundle.planning.ground import ground_points
 from jaxbundle.planning.lines import Frame, Stations, frame_of, stations_of
 
-NO_RESIDUAL = 1e-9  # of the format; more is left only where the distortion has no inverse
-ON_THE_EDGE = 1e-12  # of the format: rounding of points that a schematic flight has on the edge of an image
+NO_RESIDUAL = 1e-9  # share of the format; larger residuals remain only where the distortion has no inverse
+ON_THE_EDGE = 1e-12  # share of the format: rounding of points of a schematic flight on the edge of an image
 
 
 class Scene(NamedTuple):
@@ -23,24 +23,24 @@ class Scene(NamedTuple):
     angles: Float[np.ndarray, "image 3"]
     points: Float[np.ndarray, "point 3"]
     control: Float[np.ndarray, "point 3"]
-    """Sigmas of control coordinates, NaN where nothing is observed."""
+    """Sigmas of control coordinates, NaN if not observed."""
     listed_check: Bool[np.ndarray, " point"]
 
     @property
     def is_control(self) -> Bool[np.ndarray, " point"]:
-        """Which points have an observed or fixed coordinate."""
+        """Mask of the points with an observed or fixed coordinate."""
         return np.array(np.isfinite(self.control).any(1))
 
 
 class Incidence(NamedTuple):
-    """Which image sees which point."""
+    """Pairs of images and visible points."""
 
     image: Int[np.ndarray, " ray"]
     point: Int[np.ndarray, " ray"]
 
 
 def scene_of(plan: FlightPlan, rng: np.random.Generator) -> Scene:
-    """Draws a flight: stations and angles about their nominal values, points with the heights of the terrain."""
+    """Draws a flight: stations and angles with random deviations, points with the heights of the terrain."""
     frame = frame_of(plan)
     nominal = stations_of(plan, frame)
     xy = frame.to_object(nominal.xy)
@@ -55,7 +55,7 @@ def scene_of(plan: FlightPlan, rng: np.random.Generator) -> Scene:
 
 
 def near_pairs(plan: FlightPlan, scene: Scene) -> Incidence:
-    """Every pair of image and point that may see each other: the point lies in a widened footprint of the image."""
+    """All candidate pairs of image and point: the point is in an enlarged footprint of the image."""
     frame: Frame = frame_of(plan)
     margin = 4 * (plan.tilt + plan.scatter)
     ground = scene.centres[:, 2].mean() - plan.height
@@ -81,9 +81,9 @@ def shown(
     coordinates: Float[np.ndarray, "near 2"],
     left: Float[np.ndarray, "near 2"],
 ) -> tuple[Scene, Incidence, Float[np.ndarray, "ray 2"]]:
-    """What the images show: points on two images at least, control points on one; the others are left out.
+    """The visible points: points on at least two images, control points on one; the others are left out.
 
-    `coordinates` and `left`: image coordinates of all near pairs and what is left of their residuals.
+    `coordinates` and `left`: image coordinates of all candidate pairs and their remaining residuals.
     """
     camera = plan.camera
     half = np.array([camera.width, camera.height]) / 2 / (camera.pixel_size or 1.0)

@@ -13,10 +13,10 @@ from jaxbundle.camera.projection import projection
 
 
 def exact_coordinates(block: Block) -> tuple[Float[np.ndarray, "ray 2"], Float[np.ndarray, "ray 2"]]:
-    """Image coordinates at which every ray's residual vanishes, and what is left of the residual.
+    """Image coordinates with zero residuals of all rays, and the remaining residuals.
 
-    By Newton's method from the principal point, so that any camera model will do; exact at once for models that do not
-    correct the measurement.
+    By Newton's method from the principal point, so any camera model can be used; one step is exact for models that do
+    not correct the measurement.
     """
     coordinates, left = _exact(unknowns_of(block), observations_of(block))
     return np.asarray(coordinates.T), np.asarray(left.T)

@@ -1,6 +1,6 @@
-"""What a flight is: its camera, strips, terrain, tie points, control, navigation, and the errors of all of them.
+"""Description of a flight: camera, strips, terrain, tie points, control, navigation, and their errors.
 
-Host data only: `simulate_flight` makes a block of a `FlightPlan`, `lines` and `ground` say where everything lies.
+Only host data: `simulate_flight` makes a block of a `FlightPlan`, `lines` and `ground` compute positions.
 """
 
 import math
@@ -15,7 +15,8 @@ from jaxbundle.camera.brown import BROWN, DISTORTION_FREE
 from jaxbundle.camera.camera_models import CAMERA_MODELS
 from jaxbundle.camera.model import CameraModel
 
-SCATTER = 0.01  # of the flying height: stations off their places, and approximate values off the truth
+# share of the flying height: deviations of stations from their nominal positions, and of approximate values
+SCATTER = 0.01
 TIE_LAYOUTS = ("jittered", "grid", "random", "schematic")
 CONTROL_LAYOUTS = ("rows", "corners", "perimeter", "grid", "chains", "points")
 CONTROL_KINDS = {"full": (True, True, True), "plan": (True, True, False), "height": (False, False, True)}
@@ -24,12 +25,12 @@ SYSTEMATIC_OF = ("none", "block", "strip")
 
 @dataclass(frozen=True)
 class AerialCamera:
-    """A camera and its true interior. Lengths in mm; a camera with a pixel size is measured in px.
+    """A camera and its true interior orientation. Lengths in mm; rays of a camera with a pixel size are in px.
 
-    `offset`: principal point from the centre of the format, x right, y up. `distortion` names the camera model; unless
-    given, it is "brown" with `coefficients`, else "none". Elements in `estimate` are unknown and start from the centre
-    of the format, from coefficients 0 and from a principal distance 0.2 % too long. `errors`: true less given values
-    of elements that the block takes as known, as an old calibration.
+    `offset`: principal point from the centre of the format, x right, y up. `distortion` is the name of the camera
+    model; by default "brown" with `coefficients`, otherwise "none". Elements in `estimate` are unknown and start from
+    the centre of the format, from coefficients 0 and from a principal distance 0.2 % too long. `errors`: true minus
+    given values of fixed elements, such as from an old calibration.
 
     Example:
         >>> jb.planning.AerialCamera(principal_distance=100.0, width=104.0, height=68.0, pixel_size=0.006).pixel_size
@@ -48,9 +49,9 @@ class AerialCamera:
 
     @property
     def model(self) -> CameraModel:
-        """The camera model.
+        """The camera model of this camera.
 
-        Raises: ValueError for one that is unknown.
+        Raises: ValueError for an unknown model.
         """
         if self.distortion is None:
             plain = set(self.coefficients) | set(self.estimate) <= set(DISTORTION_FREE.elements)
@@ -70,7 +71,7 @@ class AerialCamera:
         return {element: value + self.errors.get(element, 0.0) for element, value in self.given().items()}
 
     def given(self) -> dict[str, float]:
-        """Interior elements as the block knows them, in the order of the model."""
+        """Given interior elements of the block, in the order of the model."""
         s, y_axis = (self.pixel_size, -1.0) if self.pixel_size else (1.0, 1.0)
         (x, y), (dx, dy) = self.centre, self.offset
         given = {"x0": x + dx / s, "y0": y + y_axis * dy / s, "pixel_size": s, "y_axis": y_axis}
@@ -84,10 +85,10 @@ FRAME_CAMERA = AerialCamera()
 
 @dataclass(frozen=True)
 class Terrain:
-    """Heights of the ground.
+    """Heights of the ground of a flight.
 
-    `relief`: range of random heights, each point with its own; `heights`: a function of X and Y, arrays in object
-    units, to which these are added.
+    `relief`: range of independent random heights of the points; `heights`: a function of X and Y, arrays in object
+    units, that is added.
 
     Example:
         >>> jb.planning.Terrain(heights=jb.planning.slope(0.1, 0.0)).relief
@@ -104,11 +105,11 @@ class Terrain:
 
 @dataclass(frozen=True)
 class Ties:
-    """Tie points.
+    """Number and layout of the tie points of a flight.
 
     `layout`: "jittered", a grid whose points are shifted at random, "grid", "random", or "schematic", columns at the
     stations and `rows` rows per strip distance, among them the axes of the strips. Control and check points of a
-    schematic layout stand at the nearest tie points.
+    schematic layout are at the nearest tie points.
 
     Example:
         >>> jb.planning.Ties("grid", points_per_image=40).layout
@@ -125,8 +126,8 @@ class ControlSet:
     """Control points of one layout.
 
     "rows": `count` rows across the strips, strips + 1 points each; "corners"; "perimeter" and "grid": `count` points
-    along the strips and as many across, or one every `every` bases; "chains": rows across the strips every `every`
-    bases with a point in every side lap; "points": `points`, X and Y in object units.
+    along and across the strips, or one per `every` bases; "chains": rows across the strips with a distance of `every`
+    bases and a point in each side lap; "points": `points`, X and Y in object units.
 
     `kind`: "full", "plan" or "height". `sigmas` of X, Y, Z; 0 fixes a coordinate.
 
@@ -144,7 +145,7 @@ class ControlSet:
 
     @property
     def known(self) -> Float[np.ndarray, "3"]:
-        """Standard deviations of X, Y, Z, NaN for what is not observed."""
+        """Standard deviations of X, Y, Z; NaN if not observed."""
         return np.where(CONTROL_KINDS[self.kind], self.sigmas, np.nan)
 
 
@@ -152,9 +153,10 @@ class ControlSet:
 class Navigation:
     """Centres or attitudes observed in flight; lengths in object units, angles in radians.
 
-    `systematic`: whether unknown shifts and drifts belong to nothing, to the whole block or to each strip. Their true
-    values are drawn with the standard deviations `shift` and `drift` (per exposure). `offset`: lever arm from the
-    projection centre to the antenna in the image system, or boresight angles; `offset_unknown`: the block estimates it.
+    `systematic`: whether there are no unknown shifts and drifts, or one set for the whole block or for each strip.
+    Their true values are drawn with the standard deviations `shift` and `drift` (per exposure). `offset`: lever arm
+    from the projection centre to the antenna in the image system, or boresight angles; `offset_unknown`: the block
+    estimates it.
 
     Example:
         >>> jb.planning.Navigation((0.05, 0.05, 0.1), "strip").systematic
@@ -170,13 +172,13 @@ class Navigation:
 
     @property
     def plain(self) -> bool:
-        """Whether there is nothing systematic."""
+        """Whether there are no systematic errors."""
         return self.systematic == "none" and not any(self.offset) and not self.offset_unknown
 
 
 @dataclass(frozen=True)
 class GrossErrors:
-    """A share of the rays has an error of `size` standard deviations more, in x or in y, of either sign.
+    """Gross errors: a share of the rays has an additional error of `size` standard deviations in x or y.
 
     Example:
         >>> jb.planning.FlightPlan(gross_errors=jb.planning.GrossErrors(share=0.01)).gross_errors.size
@@ -192,10 +194,10 @@ class FlightPlan:
     """A flight over mean ground 0, or over its terrain; lengths in metres, angles in radians.
 
     Strips are flown along the local x axis, which points to `heading`, counted clockwise from the Y axis; the first
-    station of the first strip is `origin`. With an `area`, a polygon of X and Y, strips and images are as many as it
-    takes, for each of `headings`. `cross_strips` are flown across all strips at these shares of their length. `tilt`
-    and `scatter` (of the height) are standard deviations of angles and stations about their nominal values.
-    `check_points`: so many tie points, or X and Y of points. `noise` scales all random errors.
+    station of the first strip is `origin`. With an `area`, a polygon of X and Y, the numbers of strips and images are
+    computed for each of `headings`. `cross_strips` are flown across all strips at these shares of their length. `tilt`
+    and `scatter` (share of the height) are standard deviations of angles and stations relative to their nominal values.
+    `check_points`: a number of tie points, or X and Y of points. `noise` scales all random errors.
 
     Example:
         >>> jb.planning.FlightPlan(strips=3, images=10, height=900.0).forward_overlap
@@ -229,18 +231,18 @@ class FlightPlan:
 
     @property
     def sigma(self) -> float:
-        """Standard deviation of an image coordinate, unit of the rays: 0.005 mm or 0.3 px unless given."""
+        """Standard deviation of an image coordinate, unit of the rays: by default 0.005 mm or 0.3 px."""
         return self.image_sigma if self.image_sigma is not None else 0.3 if self.camera.pixel_size else 0.005
 
     @property
     def scale_number(self) -> float:
-        """m, for lengths in the object per lengths in the image: units of the rays times m are object units."""
+        """Scale number m: lengths in the image, in the unit of the rays, times m are lengths in object units."""
         unit = self.camera.pixel_size or 1.0
         return self.height / self.camera.principal_distance * unit
 
 
 def schematic(**changes: object) -> FlightPlan:
-    """An regular flight as the literature has them: vertical images at equal distances over flat ground.
+    """Makes a regular flight, as in the literature: vertical images at equal distances over flat ground.
 
     153 mm, 230 x 230 mm, 60 % and 20 % overlap, no errors, tie points in columns at the stations and in rows at the
     axes of the strips and half-way. The keywords are the fields of `FlightPlan`.
@@ -263,10 +265,10 @@ def schematic(**changes: object) -> FlightPlan:
 
 
 def plan_problems(plan: FlightPlan) -> list[str]:
-    """All that keeps a flight from being flown, each with its cure."""
+    """All problems of a flight plan, each with its cure."""
     camera, found = plan.camera, []
     if plan.strips < 1 or plan.images < 2:
-        found.append(f"{plan.strips} strips of {plan.images} images; a block needs 1 strip of 2 images at least")
+        found.append(f"{plan.strips} strips of {plan.images} images; a block needs at least 1 strip of 2 images")
     overlaps = plan.forward_overlap, plan.side_overlap
     if not all(0 <= overlap < 1 for overlap in overlaps) or overlaps[0] < 0.5:
         found.append(f"overlaps {overlaps}; forward overlap is from 0.5 to below 1, side overlap from 0 to below 1")
@@ -291,13 +293,13 @@ def plan_problems(plan: FlightPlan) -> list[str]:
             found.append(f"control {number} has {len(control.sigmas)} sigmas; give those of X, Y and Z")
         if not control.every > 0 or (control.count is not None and control.count < 1):
             found.append(
-                f"control {number} stands every {control.every} bases, {control.count} times; give positive ones"
+                f"control {number} has a distance of {control.every} and {control.count} points; give positive numbers"
             )
     for name, navigation in (("gnss", plan.gnss), ("ins", plan.ins)):
         if navigation is not None:
             names[f"systematic errors of {name}"] = navigation.systematic, SYSTEMATIC_OF
             if len(navigation.sigmas) != 3 or not min(navigation.sigmas) > 0:
-                found.append(f"sigmas of {name} are {navigation.sigmas}; give three positive ones")
+                found.append(f"sigmas of {name} are {navigation.sigmas}; give three positive numbers")
     found += [
         f"the {name} {value!r} is unknown; there are {', '.join(known)}"
         for name, (value, known) in names.items()
@@ -306,5 +308,5 @@ def plan_problems(plan: FlightPlan) -> list[str]:
     if plan.area and len(plan.area) < 3:
         found.append(f"the area has {len(plan.area)} corners; give 3 or more")
     if not 0 <= plan.gross_errors.share < 0.5:
-        found.append(f"a share of {plan.gross_errors.share} gross errors; give one from 0 to below 0.5")
+        found.append(f"the share of gross errors is {plan.gross_errors.share}; give a share from 0 to below 0.5")
     return found

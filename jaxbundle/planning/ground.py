@@ -1,4 +1,4 @@
-"""Where the object points of a flight lie: tie points, control and check points by layouts."""
+"""Positions of the object points of a flight: tie points, control and check points by layouts."""
 
 import math
 from typing import NamedTuple
@@ -10,9 +10,9 @@ from scipy.spatial import KDTree
 from jaxbundle.planning.flight import ControlSet, FlightPlan
 from jaxbundle.planning.lines import Frame, Stations
 
-JITTER = 0.35  # of the grid's spacing, either way
-ROW_REACH = 0.35  # of an image's height: control ends so far outside the axes of the outer strips
-SAME = 1e-6  # of the base: points so near to each other are one
+JITTER = 0.35  # share of the grid's spacing in both directions
+ROW_REACH = 0.35  # share of an image's height: distance of the outer control from the axes of the outer strips
+SAME = 1e-6  # share of the base: closer points are one point
 
 
 class GroundPoints(NamedTuple):
@@ -20,12 +20,12 @@ class GroundPoints(NamedTuple):
 
     xy: Float[np.ndarray, "point 2"]
     sigmas: Float[np.ndarray, "point 3"]
-    """Of control coordinates: NaN for what is not observed, 0 for what is fixed."""
+    """Sigmas of control coordinates: NaN if not observed, 0 if fixed."""
     listed_check: Bool[np.ndarray, " point"]
 
 
 class Extent(NamedTuple):
-    """What a layout fills, in local coordinates: a rectangle along the strips, or the polygon of an area."""
+    """The area of a layout in local coordinates: a rectangle along the strips, or a polygon."""
 
     low: Float[np.ndarray, "2"]
     high: Float[np.ndarray, "2"]
@@ -33,7 +33,7 @@ class Extent(NamedTuple):
 
 
 def ground_points(plan: FlightPlan, frame: Frame, stations: Stations, rng: np.random.Generator) -> GroundPoints:
-    """All points of a flight."""
+    """Makes all points of a flight."""
     along = stations.xy[stations.crossing[stations.strip] == 0]
     reach = frame.strip_distance / 2 if plan.ties.layout == "schematic" else ROW_REACH * frame.footprint[1]
     area = frame.to_local(np.asarray(plan.area, float).reshape(-1, 2))
@@ -54,7 +54,7 @@ def ground_points(plan: FlightPlan, frame: Frame, stations: Stations, rng: np.ra
 
 
 def _places(control: ControlSet, frame: Frame, extent: Extent, strips: int) -> Float[np.ndarray, "control 2"]:
-    """The points of one layout, local."""
+    """The points of one layout in local coordinates."""
     if control.layout == "points":
         return frame.to_local(np.asarray(control.points, float).reshape(-1, 2))
     if len(extent.area):
@@ -63,7 +63,7 @@ def _places(control: ControlSet, frame: Frame, extent: Extent, strips: int) -> F
 
 
 def _in_area(control: ControlSet, frame: Frame, extent: Extent, strips: int) -> Float[np.ndarray, "control 2"]:
-    """A layout in a polygon: its corners, its sides, or what lies inside of it of a layout of its rectangle."""
+    """A layout in a polygon: its corners, its sides, or the inner points of the layout of its rectangle."""
     corners = extent.area
     if control.layout == "corners":
         return corners
@@ -80,7 +80,7 @@ def _in_area(control: ControlSet, frame: Frame, extent: Extent, strips: int) -> 
 
 
 def inside(corners: Float[np.ndarray, "corner 2"], xy: Float[np.ndarray, "point 2"]) -> Bool[np.ndarray, " point"]:
-    """Whether points lie in a polygon: a line from each to the left crosses its sides an odd number of times."""
+    """Whether points are in a polygon: a line from each to the left crosses its sides an odd number of times."""
     found = np.zeros(len(xy), bool)
     for a, b in zip(corners, np.roll(corners, -1, 0), strict=True):
         between = (a[1] > xy[:, 1]) != (b[1] > xy[:, 1])
@@ -118,7 +118,7 @@ def _crossed(x: Float[np.ndarray, " column"], y: Float[np.ndarray, " row"]) -> F
 def _merged(
     plan: FlightPlan, frame: Frame, sets: list[tuple[Float[np.ndarray, "control 2"], ControlSet]]
 ) -> tuple[Float[np.ndarray, "control 2"], Float[np.ndarray, "control 3"]]:
-    """Points of all layouts; those at the same place are one, with the smaller sigmas."""
+    """Points of all layouts; points at the same position are merged, with the smaller sigmas."""
     found: dict[tuple[int, int], int] = {}
     places, sigmas = [], []
     for xy, control in sets:
@@ -155,7 +155,7 @@ def _snapped(
 def _tie_points(
     plan: FlightPlan, frame: Frame, stations: Stations, rng: np.random.Generator
 ) -> Float[np.ndarray, "tie 2"]:
-    """Tie points over all that the images cover, local."""
+    """Tie points over the area of all images, in local coordinates."""
     if plan.ties.layout == "schematic":
         return _schematic(plan, frame, stations)
     along, across = frame.footprint

@@ -1,6 +1,6 @@
-"""Where a flight's images are taken from: parallel strips, cross strips, an area covered.
+"""Stations of a flight: parallel strips, cross strips, coverage of an area.
 
-Everything is laid out in a local frame, x along the first heading, and turned into the object system at the end.
+All positions are computed in a local frame, x along the first heading, and rotated to the object system at the end.
 """
 
 import math
@@ -13,7 +13,7 @@ from jaxbundle.planning.flight import FlightPlan
 
 
 class Frame(NamedTuple):
-    """The local frame of a flight and the sizes that everything is laid out by."""
+    """The local frame of a flight and its dimensions."""
 
     angle: float
     """From the X axis to the local x axis, counter-clockwise, in radians."""
@@ -22,17 +22,17 @@ class Frame(NamedTuple):
     """Distance of stations in a strip, object unit."""
     strip_distance: float
     footprint: tuple[float, float]
-    """Of an image on the mean ground, along and across the strip."""
+    """Size of an image on the mean ground, along and across the strip."""
 
     def to_object(self, xy: Float[np.ndarray, "point 2"]) -> Float[np.ndarray, "point 2"]:
-        """Local coordinates turned into object coordinates."""
+        """Converts local coordinates to object coordinates."""
         c, s = math.cos(self.angle), math.sin(self.angle)
         if self.angle == 0 and self.origin == (0.0, 0.0):
             return xy
         return xy @ np.array([[c, s], [-s, c]]) + self.origin
 
     def to_local(self, xy: Float[np.ndarray, "point 2"]) -> Float[np.ndarray, "point 2"]:
-        """Object coordinates turned into local coordinates."""
+        """Converts object coordinates to local coordinates."""
         c, s = math.cos(self.angle), math.sin(self.angle)
         return (xy - np.asarray(self.origin)) @ np.array([[c, -s], [s, c]])
 
@@ -42,21 +42,21 @@ class Stations(NamedTuple):
 
     xy: Float[np.ndarray, "image 2"]
     kappa: Float[np.ndarray, " image"]
-    """Local: 0 along the first heading."""
+    """Local heading: 0 along the first heading."""
     strip: Int[np.ndarray, " image"]
     crossing: Int[np.ndarray, " strip"]
     """0 for strips along the first heading, 1 for cross strips and other headings."""
 
     @property
     def names(self) -> tuple[str, ...]:
-        """Strip and number in the strip, "1_01"."""
+        """Names of strip and number in the strip, such as "1_01"."""
         counts = np.bincount(self.strip)
         digits = max(2, len(str(counts.max())))
         return tuple(f"{s + 1}_{k + 1:0{digits}d}" for s, count in enumerate(counts) for k in range(count))
 
     @property
     def time(self) -> Float[np.ndarray, " image"]:
-        """Number of the exposure in the flight, from the mean."""
+        """Number of the exposure in the flight, relative to the mean."""
         return np.arange(len(self.xy)) - (len(self.xy) - 1) / 2
 
 
@@ -86,7 +86,7 @@ Strip = tuple[Float[np.ndarray, "station 2"], float]
 
 
 def _flown(xy: Float[np.ndarray, "station 2"], angle: float, number: int, plan: FlightPlan) -> Strip:
-    """One strip, every second one flown back."""
+    """One strip; each second strip is flown in the opposite direction."""
     if plan.back_and_forth and number % 2:
         return xy[::-1], angle + math.pi
     return xy, angle
@@ -101,7 +101,7 @@ def _rectangle(plan: FlightPlan, frame: Frame) -> list[Strip]:
 
 
 def _cross_strips(plan: FlightPlan, frame: Frame, along: Float[np.ndarray, "image 2"]) -> list[Strip]:
-    """From half a strip distance outside of the first axis to as much outside of the last one."""
+    """A cross strip from half a strip distance outside the first axis to half outside the last one."""
     half, base = frame.strip_distance / 2, frame.base
     low, high = along.min(0), along.max(0)
     y = np.arange(low[1] - half, high[1] + half + 1e-9 * base, base)
@@ -112,7 +112,7 @@ def _cross_strips(plan: FlightPlan, frame: Frame, along: Float[np.ndarray, "imag
 
 
 def _covering(plan: FlightPlan, frame: Frame) -> list[Strip]:
-    """Strips along every heading that cover the area: every place of it lies on two images or more of a strip."""
+    """Strips along all headings that cover the area: each position is on at least two images of a strip."""
     found = []
     for heading in plan.headings:
         turned = frame._replace(angle=math.pi / 2 - heading)
@@ -132,7 +132,7 @@ def _covering(plan: FlightPlan, frame: Frame) -> list[Strip]:
 
 
 def _reach(corners: Float[np.ndarray, "corner 2"], low: float, high: float) -> tuple[float, float]:
-    """Smallest and largest x of a polygon between two lines of equal y."""
+    """Minimum and maximum x of a polygon between two lines of equal y."""
     inside = [corners[(corners[:, 1] >= low) & (corners[:, 1] <= high), 0]]
     for a, b in zip(corners, np.roll(corners, -1, 0), strict=True):
         for y in (low, high):

@@ -1,9 +1,9 @@
-"""Hundreds of complete adjustments of one block, each with other errors: does their scatter agree with the prediction?
+"""Monte Carlo test of a prediction: many complete adjustments of one block, each with other errors.
 
-    q = sum over draws of (x - x_true)^2 / sigma^2       chi-square distributed with as many degrees as draws
+    q = sum over draws of (x - x_true)^2 / sigma^2       chi-square distributed with one degree of freedom per draw
 
 Sigma is the predicted one. Single coordinates are tested at a level; the mean of q / draws over all points, which are
-correlated, has a scatter of its own that is estimated from the draws.
+correlated, has a scatter that is estimated from the draws.
 """
 
 from functools import partial
@@ -25,12 +25,12 @@ from jaxbundle.planning.prediction import Prediction, predict
 from jaxbundle.solve.adjust import adjust
 from jaxbundle.solve.status import Status
 
-LEVEL = 0.001  # of the test of one coordinate, both sides together
-DEVIATIONS = 4.0  # of the mean over all coordinates, beyond which it contradicts the prediction
+LEVEL = 0.001  # level of the two-sided test of one coordinate
+DEVIATIONS = 4.0  # limit of the mean over all coordinates in its standard deviations
 
 
 class MonteCarlo(NamedTuple):
-    """Scatter of many adjustments about the truth, against the prediction.
+    """Comparison of the scatter of many adjustments about the truth with the prediction.
 
     Example:
         >>> runs = jb.planning.monte_carlo(flight.truth, 20)
@@ -40,15 +40,15 @@ class MonteCarlo(NamedTuple):
 
     draws: int
     converged: int
-    """Adjustments that converged; the others are left out."""
+    """Number of converged adjustments; the others are left out."""
     ratios: Float[np.ndarray, "point 3"]
-    """Mean of (x - x_true)^2 / sigma^2, NaN for what is fixed; 1 where scatter and prediction agree."""
+    """Mean of (x - x_true)^2 / sigma^2, NaN for fixed coordinates; 1 if scatter and prediction agree."""
     bias: Float[np.ndarray, "point 3"]
     """Mean of x - x_true in standard deviations of this mean."""
     sigma0: float
-    """Root of the mean of sigma0^2, 1 where the sigmas are those of the errors."""
+    """Root of the mean of sigma0^2; 1 if the sigmas are those of the errors."""
     limits: tuple[float, float]
-    """Of a single ratio at the level of the test."""
+    """Limits of a single ratio at the level of the test."""
     mean: float
     """Mean of the ratios."""
     mean_sigma: float
@@ -73,9 +73,9 @@ def monte_carlo(block: Block, draws: int = 500, seed: int = 0) -> MonteCarlo:
     Args:
         block: the planned block at its true values, such as the truth of a simulation.
         draws: number of adjustments.
-        seed: of the errors.
+        seed: seed of the errors.
 
-    Raises: TypeError for what is not a Block; ValueError for fewer than 20 draws.
+    Raises: TypeError for an object that is not a Block; ValueError for fewer than 20 draws.
 
     Example:
         >>> runs = jb.planning.monte_carlo(flight.truth, 20)
@@ -84,7 +84,7 @@ def monte_carlo(block: Block, draws: int = 500, seed: int = 0) -> MonteCarlo:
     """
     require_a(Block, block, "planning.monte_carlo")
     if draws < 20:
-        raise ValueError(f"{draws} draws tell nothing; give 20 or more")
+        raise ValueError(f"{draws} draws are too few; give at least 20")
     prediction = predict(block)
     truth = with_datum(prediction.block)
     sigmas = np.asarray(prediction.standard_deviations.object_points)
@@ -113,7 +113,7 @@ def monte_carlo(block: Block, draws: int = 500, seed: int = 0) -> MonteCarlo:
 
 
 def drawn(block: Block, key: Array) -> Block:
-    """The block with new normal errors in everything observed; goes through jit, grad and vmap."""
+    """The block with new normal errors of all observations; works with jit, grad and vmap."""
     keys = jax.random.split(key, 1 + len(block.groups))
     rays = block.rays.coordinates + block.rays.sigmas * jax.random.normal(keys[0], block.rays.sigmas.shape)
 

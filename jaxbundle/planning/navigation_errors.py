@@ -1,6 +1,6 @@
 """Navigation data of a flight: centres and attitudes observed in flight, with shift, drift, lever arm and boresight.
 
-Without anything systematic, centres are plain observed stations. Shifts and drifts belong to the whole flight or to
+Without systematic errors, centres are simple observed stations. Shifts and drifts belong to the whole flight or to
 each strip; drifts are per exposure, counted from the middle of their group.
 """
 
@@ -33,7 +33,7 @@ ANGLES = Table(ATTITUDES[OMEGA_PHI_KAPPA.name], ("boresight", "attitude_shift", 
 
 
 class Observed(NamedTuple):
-    """Groups of observations without errors, and the parameters they touch with their true values."""
+    """Groups of observations without errors, and their parameters with true values."""
 
     groups: tuple[ObservationGroup, ...]
     parameters: tuple[Parameter, ...]
@@ -44,7 +44,7 @@ NOTHING = Observed((), (), np.zeros(0))
 
 
 def navigation_of(plan: FlightPlan, scene: Scene, rng: np.random.Generator) -> Observed:
-    """Everything that is observed in flight; the observed values are filled in by `consistent_groups`."""
+    """All observations in flight; `consistent_groups` computes the observed values."""
     found = NOTHING
     if plan.gnss is not None:
         if plan.gnss.plain:
@@ -93,7 +93,7 @@ def _true_values(given: Navigation, rng: np.random.Generator) -> tuple[Float[np.
 
 
 def consistent_groups(block: Block) -> tuple[ObservationGroup, ...]:
-    """All groups of observations with the values that leave no residual; goes through jit, grad and vmap."""
+    """All groups of observations with values without residuals; works with jit, grad and vmap."""
     unknowns = unknowns_of(block)
 
     def consistent(group: ObservationGroup) -> ObservationGroup:

@@ -2,8 +2,9 @@
 
     Q = (A^T P A)^-1,        sigma = sqrt(diag Q)        standard deviation of unit weight 1: the sigmas of the block
 
-The observations are replaced by those that leave no residual at the values of the block, so that a camera model that
-corrects the measurement is linearised where it will be used. Equal to the cofactors of an adjustment that ends there.
+The observations are replaced by values without residuals at the values of the block, so that a camera model that
+corrects the measurement is linearised at the correct position. The result is equal to the cofactors of an adjustment
+with these values.
 """
 
 import dataclasses
@@ -36,10 +37,10 @@ from jaxbundle.statistics.reliability_tables import LEVEL, POWER, Reliability, r
 
 
 class Prediction(eqx.Module):
-    """The predicted precision of a block. A pytree: jit, grad and vmap go through it.
+    """The predicted precision of a block. It is a pytree, so it works with jit, grad and vmap.
 
-    `linearised` is the block with its exact observations as an adjustment without iterations, for what takes an
-    adjustment and needs neither residuals nor their sigma0, such as `jb.statistics.reliability`.
+    `linearised` is the block with its exact observations as an adjustment without iterations, for functions of
+    an adjustment that need neither residuals nor sigma0, such as `jb.statistics.reliability`.
 
     Example:
         >>> prediction.standard_deviations.object_points.shape == flight.truth.object_points.shape
@@ -50,19 +51,19 @@ class Prediction(eqx.Module):
 
     @property
     def block(self) -> Block:
-        """The planned block, its observations without residuals."""
+        """The planned block with observations without residuals."""
         return self.linearised.block
 
     @property
     def cofactors(self) -> BlockCofactors:
-        """Blocks of Q: covariances for the sigmas given."""
+        """Blocks of Q: covariances for the given sigmas."""
         assert self.linearised.cofactors is not None
         return self.linearised.cofactors
 
     @property
     def standard_deviations(self) -> StandardDeviations:
-        """A-priori standard deviations of all unknowns: object unit, radians, unit of the interior elements; 0 for what
-        is held."""
+        """A-priori standard deviations of all unknowns: object unit, radians, unit of the interior elements; 0 if
+        fixed."""
         return self.cofactors.standard_deviations(1.0)
 
     @property
@@ -72,17 +73,17 @@ class Prediction(eqx.Module):
 
     @property
     def redundancy_numbers(self) -> tuple[Array, ...]:
-        """Redundancy numbers, a table for the rays and for each group."""
+        """Redundancy numbers, one table for the rays and one for each group."""
         assert self.linearised.redundancy_numbers is not None
         return self.linearised.redundancy_numbers
 
     @property
     def undetermined(self) -> tuple[Finding, ...]:
-        """What the planned observations do not determine; the precision means nothing before it is cured."""
+        """Findings about undetermined unknowns; the precision is meaningless until they are solved."""
         return self.linearised.undetermined
 
     def reliability(self, level: float = LEVEL, power: float = POWER) -> Reliability:
-        """Predicted reliability: minimal detectable errors and their largest effects (Baarda 1968)."""
+        """Predicted reliability: minimal detectable errors and their maximum effects (Baarda 1968)."""
         return reliability(self.linearised, level, power)
 
 
@@ -90,13 +91,14 @@ def predict(block: Block) -> Prediction:
     """Predicts the precision of a block from its geometry and its sigmas, before anything is measured.
 
     Args:
-        block: the planned block at its expected values, such as the truth of a simulation. Its measured values take no
-            part, its sigmas do.
+        block: the planned block at its expected values, such as the truth of a simulation. Its sigmas are used, its
+            measured values are not.
 
-    Returns: the prediction; it is differentiable with respect to every value of the block: positions, angles, sigmas,
+    Returns: the prediction; it is differentiable with respect to all values of the block: positions, angles, sigmas,
     interior elements.
 
-    Raises: TypeError for what is not a Block; BlockError with all problems of the block; ValueError without float64.
+    Raises: TypeError for an object that is not a Block; BlockError with all problems of the block; ValueError without
+        float64.
 
     Example:
         >>> prediction = jb.planning.predict(flight.truth)
@@ -104,7 +106,7 @@ def predict(block: Block) -> Prediction:
         True
     """
     require_a(Block, block, "planning.predict")
-    options = Options()  # refuses to work without float64
+    options = Options()  # raises an error without float64
     require_consistent(constant(block))
     if block.concrete:
         block = with_exact_observations(block)
@@ -113,7 +115,7 @@ def predict(block: Block) -> Prediction:
     block = dataclasses.replace(block, structure=values.structure)
     if not block.concrete:
         if block.structure.datum.kind == "inner":
-            raise ValueError("a free network is predicted outside of jit, grad and vmap; there take a minimal datum")
+            raise ValueError("a free network cannot be predicted inside jit, grad and vmap; use a minimal datum there")
         block = with_exact_observations(block)
     origin = on_host(constant(block).exterior.projection_centre).mean(0)
     centred = block.moved(-origin)
@@ -133,6 +135,6 @@ def predict(block: Block) -> Prediction:
 
 
 def with_exact_observations(block: Block) -> Block:
-    """The block with the observations that leave no residual at its values; goes through jit, grad and vmap."""
+    """The block with observations without residuals at its values; works with jit, grad and vmap."""
     coordinates = traced_coordinates(block) if block.structure.model.photographs else block.rays.coordinates
     return eqx.tree_at(lambda b: (b.rays.coordinates, b.groups), block, (coordinates, consistent_groups(block)))

@@ -1,9 +1,9 @@
-"""Which observation moves an adjusted coordinate, and by how much: one reverse pass through the adjustment.
+"""Sensitivity of an adjusted coordinate to all observations, by one reverse pass through the adjustment.
 
-    dx / d(every measured value, control coordinate, calibration value)
+    dx / d(each measured value, control coordinate, calibration value)
 
 by the implicit function theorem at the minimum, with all second derivatives: exact, not the linear model of the last
-iteration. The square sum of derivative times sigma over all observations is the variance of x.
+iteration. The sum of squares of derivative times sigma over all observations is the variance of x.
 """
 
 from collections.abc import Callable
@@ -23,7 +23,7 @@ from jaxbundle.solve.adjust import adjust
 
 
 class Effect(NamedTuple):
-    """How one value moves the function.
+    """Effect of one value on the function.
 
     Example:
         >>> found = jb.planning.sensitivity(block, lambda b: b.object_points[4, 2])
@@ -36,18 +36,18 @@ class Effect(NamedTuple):
     derivative: float
     """Unit of the function per unit of the value; radians for angles."""
     unit: str
-    """Of the value."""
+    """The value."""
     sigma: float
-    """Of the value; 0 for what is held."""
+    """Standard deviation of the value; 0 if fixed."""
 
     @property
     def effect(self) -> float:
-        """Change of the function by an error of one sigma; 0 for what is held."""
+        """Change of the function for an error of one sigma; 0 if fixed."""
         return self.derivative * self.sigma
 
 
 class Sensitivity(NamedTuple):
-    """The effects of everything that was given, the largest first.
+    """The effects of all input values, the largest first.
 
     Example:
         >>> found = jb.planning.sensitivity(block, lambda b: b.object_points[4, 2])
@@ -57,27 +57,28 @@ class Sensitivity(NamedTuple):
 
     value: float
     effects: tuple[Effect, ...]
-    """Observations, by the effect of one sigma."""
+    """Observations in decreasing order of the effect of one sigma."""
     held: tuple[Effect, ...]
-    """Fixed control coordinates and held interior elements, by their derivative."""
+    """Fixed control coordinates and interior elements in decreasing order of the derivative."""
 
     @property
     def standard_deviation(self) -> float:
-        """Of the function, a priori: the square root of the sum of squared effects."""
+        """A-priori standard deviation of the function: the square root of the sum of squared effects."""
         return float(np.sqrt(sum(e.effect**2 for e in self.effects)))
 
 
 def sensitivity(block: Block, function: Callable[[Block], Array]) -> Sensitivity:
-    """Derivatives of a function of the adjusted block with respect to all that the adjustment was given.
+    """Computes derivatives of a function of the adjusted block with respect to all input values.
 
     Args:
         block: the block; it is adjusted.
-        function: of the adjusted block, one number, such as `lambda b: b.object_points[350, 2]`.
+        function: a function of the adjusted block with one number as result, such as `lambda b: b.object_points[350,
+            2]`.
 
-    Returns: observations and held values with their derivatives. Those of a function that does not depend on the block,
-    or of an adjustment that has not converged, are 0 or NaN.
+    Returns: observations and fixed values with their derivatives. Those of a function that does not depend on the
+    block, or of an adjustment that has not converged, are 0 or NaN.
 
-    Raises: TypeError for what is not a Block; ValueError for a function of more than one number.
+    Raises: TypeError for an object that is not a Block; ValueError for a function with more than one number.
 
     Example:
         >>> found = jb.planning.sensitivity(block, lambda b: b.object_points[4, 2])
@@ -88,7 +89,7 @@ def sensitivity(block: Block, function: Callable[[Block], Array]) -> Sensitivity
     block = with_datum(block)
     shape = jax.eval_shape(lambda b: jnp.asarray(function(b)), block).shape
     if shape != ():
-        raise ValueError(f"the function gives an array of shape {shape}; give one number, such as one coordinate")
+        raise ValueError(f"the function returns an array of shape {shape}; return one number, such as one coordinate")
 
     def adjusted(block: Block) -> Array:
         return jnp.asarray(function(adjust(block, precision=False).block))

@@ -1,6 +1,6 @@
-"""Aerial strips and blocks with known truth: what an adjustment gives can be compared with what it should give.
+"""Simulating aerial strips and blocks with known truth, for comparison with results of an adjustment.
 
-Image coordinates are those at which the package's own image equation leaves no residual, plus normal errors.
+Image coordinates have zero residuals of the image equation, plus normal errors.
 """
 
 import math
@@ -32,7 +32,9 @@ __all__ = ["SimulatedFlight", "Simulation", "exact_coordinates", "simulate", "si
 
 
 class Simulation(NamedTuple):
-    """`block`: observations and approximate values; `truth`: the same structure with true values and no errors.
+    """A simulated block.
+
+    `block`: observations and approximate values; `truth`: same structure with true values and no errors.
 
     Example:
         >>> simulation = jb.simulate(1, 4, seed=1)
@@ -45,7 +47,7 @@ class Simulation(NamedTuple):
 
 
 class SimulatedFlight(NamedTuple):
-    """`block` and `truth` as those of a `Simulation`; `gross_errors`: the rays of the block that have one.
+    """A simulated flight. `block` and `truth` as in a `Simulation`; `gross_errors`: rays with a gross error.
 
     Example:
         >>> flight.gross_errors.size
@@ -76,14 +78,14 @@ def simulate(
     noise: float = 1.0,
     seed: int = 0,
 ) -> Simulation:
-    """A block of `strips` strips of `images` images each, with known truth; object unit metres.
+    """Simulates a block of `strips` strips of `images` images each, with known truth; object unit metres.
 
     `flying_height` is above the mean ground, `relief` the range of heights. `tilt`: standard deviation of omega, phi
-    and kappa in degrees. `image_sigma`, unit of the rays, is 0.005 mm or 0.3 px unless given. `control_rows` have
-    strips + 1 points each; without rows and stations the first image and X0 of the last one of its strip hold the
-    datum, at their true values. `control_sigma` 0 fixes the control points. `station_sigma` adds observed projection
-    centres. `check_points` are tie points whose truth is in the block. `noise` scales all errors: with 0 the
-    observations are exact. `jaxbundle.planning.simulate_flight` has more to choose.
+    and kappa in degrees. `image_sigma`, in the unit of the rays, is by default 0.005 mm or 0.3 px. `control_rows` have
+    strips + 1 points each; without rows and stations the first image and X0 of the last one of its strip define
+    the datum, with their true values. `control_sigma` 0 fixes the control points. `station_sigma` adds observed
+    projection centres. `check_points` are tie points whose truth is in the block. `noise` scales all errors: with 0 the
+    observations are exact. `jaxbundle.planning.simulate_flight` has more options.
 
     Raises: ValueError for a flight whose images have no points in common.
 
@@ -118,15 +120,15 @@ def simulate(
 
 
 def simulate_flight(plan: FlightPlan) -> SimulatedFlight:
-    """The block of a flight, with known truth.
+    """Simulates the block of a flight, with known truth.
 
     Args:
         plan: the flight; `schematic` makes one without random deviations.
 
     Returns: the block with errors and rough approximate values, the truth, and the rays with gross errors. Equal plans
-    give equal blocks: everything random comes from `plan.seed`.
+    give equal blocks: all random numbers depend on `plan.seed`.
 
-    Raises: BlockError, a ValueError, with everything that keeps the flight from being flown.
+    Raises: BlockError, a ValueError, with all problems of the plan.
 
     Example:
         >>> flight = jb.planning.simulate_flight(plan)
@@ -151,7 +153,7 @@ def simulate_flight(plan: FlightPlan) -> SimulatedFlight:
 
 
 def _require_listed(plan: FlightPlan, drawn: Scene, seen: Scene) -> None:
-    """Raises BlockError for control and check points of a list that no image shows."""
+    """Raises BlockError for control and check points of a list that are on no image."""
     listed = [place for control in plan.control if control.layout == "points" for place in control.points]
     listed += [] if isinstance(plan.check_points, int) else list(plan.check_points)
     if plan.ties.layout == "schematic" or not listed:
@@ -160,4 +162,4 @@ def _require_listed(plan: FlightPlan, drawn: Scene, seen: Scene) -> None:
     near = [place for place in listed if any(math.dist(place, other) < 1e-6 * plan.height for other in lost)]
     if near:
         what = f"{len(near)} points of the lists of control and check points are on no image, such as {near[0]}"
-        raise BlockError([Problem(what, "correct their coordinates, or fly there", table="flight")])
+        raise BlockError([Problem(what, "correct their coordinates, or change the flight", table="flight")])

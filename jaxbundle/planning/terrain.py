@@ -1,4 +1,4 @@
-"""Terrains by a formula or a grid of heights: functions of X and Y for `Terrain.heights`."""
+"""Terrains from a formula or a grid of heights, as functions of X and Y for `Terrain.heights`."""
 
 import math
 from collections.abc import Callable
@@ -22,7 +22,7 @@ def waves(relief: float, wavelength: float) -> Heights:
 
 
 def slope(along_x: float, along_y: float) -> Heights:
-    """A plane that rises by these shares of the way along X and Y.
+    """A plane with these slopes along X and Y.
 
     Example:
         >>> float(jb.planning.slope(0.1, 0.0)(np.array(50.0), np.array(0.0)))
@@ -32,12 +32,12 @@ def slope(along_x: float, along_y: float) -> Heights:
 
 
 def grid_heights(points: Float[np.ndarray, "point 3"]) -> Heights:
-    """Heights between the points of a regular grid, bilinear; beyond its edge those of the edge.
+    """Bilinear interpolation of heights on a regular grid; outside the grid the heights of its edge.
 
     Args:
         points: X, Y, Z of all nodes, in any order.
 
-    Raises: ValueError for points that are not the nodes of a grid of lines of equal X and of equal Y.
+    Raises: ValueError for points that are not the nodes of a grid with lines of equal X and equal Y.
 
     Example:
         >>> heights = jb.planning.grid_heights(np.array([[0, 0, 1], [0, 10, 1], [10, 0, 3], [10, 10, 3.0]]))
@@ -47,11 +47,11 @@ def grid_heights(points: Float[np.ndarray, "point 3"]) -> Heights:
     x, y = np.unique(points[:, 0]), np.unique(points[:, 1])
     if len(x) < 2 or len(y) < 2 or len(points) != len(x) * len(y):
         what = f"{len(points)} heights on {len(x)} values of X and {len(y)} of Y are not a grid"
-        raise ValueError(f"{what}; give a height for every X with every Y, 2 of each or more")
+        raise ValueError(f"{what}; give a height for each X with each Y, at least 2 of both")
     z = np.full((len(x), len(y)), np.nan)
     z[np.searchsorted(x, points[:, 0]), np.searchsorted(y, points[:, 1])] = points[:, 2]
     if not np.isfinite(z).all():
-        raise ValueError("the grid has nodes without a height; give a finite number for every node, each once")
+        raise ValueError("the grid has nodes without a height; give a finite number for each node, each once")
     inside = RegularGridInterpolator((x, y), z)
 
     def heights(px: np.ndarray, py: np.ndarray) -> np.ndarray:

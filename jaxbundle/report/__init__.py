@@ -4,7 +4,8 @@ sections         the content of a report; text, data, files and html render it
 pictures         the numbers of the pictures, drawn by html and plot
 html             the HTML page; `jaxbundle.plot` draws the same pictures in matplotlib
 comparison       two results of one block, or two surveys of the same points
-point_cloud      point clouds for viewers
+surveys          the test of two surveys by their covariances
+point_cloud      point clouds and stations for viewers; rerun_file: for the viewer Rerun
 made             program, date, command and inputs
 """
 

@@ -32,7 +32,7 @@ ARRAYS = "adjustment.npz"
 # # 6.3 million rays, with names of 6 letters; a number has up to 24 letters, on average 18
 _ROW = {"image": 700, "point": 400, "ray": 220, "other": 300}
 _TEXT = 50_000  # report.txt shows the first rows of each table only
-_PAGE, _MOST_PAGE = 150_000, 3_000_000  # report.html: style and script, and its maximum
+_PAGE, _MAX_PAGE = 150_000, 3_000_000  # report.html: style and script, and its maximum
 _PAGE_ROW = 120  # bytes per point, as long as the page shows all points
 
 
@@ -100,7 +100,7 @@ def report_size(block: Block) -> int:
         "ray": len(structure.ray_image),
         "other": len(structure.parameters) + sum(len(group.values) for group in block.groups),
     }
-    page = min(_PAGE + _PAGE_ROW * (rows["point"] + 10 * rows["image"]), _MOST_PAGE)
+    page = min(_PAGE + _PAGE_ROW * (rows["point"] + 10 * rows["image"]), _MAX_PAGE)
     return page + _TEXT + sum(_ROW[kind] * number for kind, number in rows.items())
 
 

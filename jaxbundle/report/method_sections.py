@@ -59,8 +59,10 @@ def method_sections(
 
 
 def as_photographs(result: MethodAdjustment, figures: Figures, precision: Propagated | None) -> Figures:
-    """The numbers of the photographs: orientations and points with their standard deviations from the method, or by
-    propagation where known."""
+    """The numbers of the photographs: orientations and points with standard deviations.
+
+    Standard deviations are those of the method, or by propagation where known.
+    """
     block, count = result.block, len(result.points)
     structure, radians = block.structure, RADIANS[block.structure.angle_unit]
     exterior = np.hstack([block.exterior.projection_centre, np.asarray(block.exterior.angles) / radians])
@@ -132,7 +134,7 @@ def _models(result: ModelAdjustment, figures: Figures) -> Section:
     )
     every = np.arange(count)
     table = ReportTable("models", columns, *first(every, of.IMAGES, "models"), results=every, below=True)
-    return Section("Models: adjusted value and standard deviation below", (table,))
+    return Section("Models: adjusted values and standard deviations", (table,))
 
 
 def _places(deviations: np.ndarray) -> list[int]:

@@ -16,9 +16,8 @@ from jaxbundle.report.sigma_map import Map, sigma_map
 from jaxbundle.report.text import aligned
 from jaxbundle.statistics.reliability_tables import UNCONTROLLED
 
-CORRELATED = (
-    0.9  # correlation of two interior elements: above this they cannot be separated, and their errors bend the block
-)
+# correlation of two interior elements: above this they cannot be separated, and their errors bend the block
+CORRELATED = 0.9
 ANGLES = 180 / np.pi
 
 

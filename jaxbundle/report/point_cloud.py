@@ -7,25 +7,15 @@ from jaxtyping import Float
 
 from jaxbundle.block.given import require_a, require_photographs
 from jaxbundle.block.unknowns import unknowns_of
+from jaxbundle.io.results.clouds import offset_of, ply_header, told_offset, write_ply
+from jaxbundle.io.results.map_features import features_of
 from jaxbundle.numerics.whole_files import write_whole
 from jaxbundle.report.figures import Figures, figures_of
 from jaxbundle.report.pictures.known import known
-from jaxbundle.report.pictures.plan_picture import plan
-from jaxbundle.report.pictures.ray_pictures import image_format, standardised
+from jaxbundle.report.pictures.ray_pictures import image_format
 from jaxbundle.solve.adjustment import Adjustment
 
-ROUND = 1000.0  # offsets are multiples of it: the single precision of viewers then resolves 0.1 mm or better
 FRUSTUM = 0.08  # height of the pyramid of an image as a share of the distance to its points
-POINT = np.dtype(
-    [
-        *((name, "<f8") for name in ("x", "y", "z")),
-        *((name, "<f4") for name in ("sd_x", "sd_y", "sd_z")),
-        ("rays", "<i4"),
-        ("max_w", "<f4"),
-        ("class", "u1"),
-    ]
-)
-TYPES = {"<f8": "double", "<f4": "float", "<i4": "int", "|u1": "uchar"}
 
 
 def to_ply(result: Adjustment, path: str | Path, stations: str | Path | None = None) -> Path:
@@ -33,8 +23,9 @@ def to_ply(result: Adjustment, path: str | Path, stations: str | Path | None = N
 
     Args:
         result: a concrete adjustment.
-        path: file of the points: coordinates minus the offset that a comment contains, standard deviations, all in the
-            object unit, number of rays, maximum |w| / sigma0 of the rays, and class (0 tie, 1 control, 2 check point).
+        path: file of the points, as `export` writes it: coordinates less the offset that a comment names, standard
+            deviations, all in the object unit, number of rays, class (0 tie, 1 control, 2 check point), and the largest
+            |w| / sigma0 of the rays.
         stations: file of the stations as pyramids of edges; none if None.
 
     Returns: the path of the points.
@@ -48,41 +39,14 @@ def to_ply(result: Adjustment, path: str | Path, stations: str | Path | None = N
     """
     require_a(Adjustment, result, "report.to_ply")
     require_photographs(result.block, "report.to_ply")
-    with np.errstate(all="ignore"):
-        figures = figures_of(result, ())
-    seen = plan(figures)
-    usable = np.asarray(np.isfinite(seen.points).all(1))
-    middle = seen.points[usable].mean(0) if usable.any() else np.zeros(3)
-    offset = np.round(middle / ROUND) * ROUND + 0.0  # no -0
-    largest = np.zeros(len(usable))
-    size = np.nan_to_num(np.abs(standardised(figures))).max(1, initial=0.0)
-    np.maximum.at(largest, figures.structure.ray_point, size)
-    rows = np.zeros(int(usable.sum()), POINT)
-    for k, axis in enumerate("xyz"):
-        rows[axis] = seen.points[usable, k] - offset[k]
-        rows[f"sd_{axis}"] = figures.points_sd[usable, k]
-    rows["rays"], rows["max_w"] = figures.rays_of_point[usable], largest[usable]
-    rows["class"] = seen.role[usable]
-    left_out = int((~usable).sum())
-    comments = [_offset(offset), f"points without finite coordinates left out: {left_out}"]
-    comments.append("class: 0 tie point, 1 control point, 2 check point")
-    lines = [f"property {TYPES[POINT[name].str]} {name}" for name in POINT.names or ()]
-    header = _header(comments, [f"element vertex {len(rows)}", *lines], "binary_little_endian")
     target = Path(path)
-    write_whole(target, lambda file: file.write(header + rows.tobytes()))
+    write_ply(features_of(result), target)
     if stations is not None:
-        content = _stations(result, figures, offset)
+        with np.errstate(all="ignore"):
+            figures = figures_of(result, ())
+        content = _stations(result, figures, offset_of(figures.points))
         write_whole(Path(stations), lambda file: file.write(content))
     return target
-
-
-def _offset(offset: np.ndarray) -> str:
-    return "offset to be added: " + " ".join(f"{value:.0f}" for value in offset)
-
-
-def _header(comments: list[str], lines: list[str], form: str) -> bytes:
-    words = ["ply", f"format {form} 1.0", *(f"comment {words}" for words in comments), *lines, "end_header"]
-    return ("\n".join(words) + "\n").encode("ascii", "replace")
 
 
 def _stations(result: Adjustment, figures: Figures, offset: np.ndarray) -> bytes:
@@ -92,7 +56,7 @@ def _stations(result: Adjustment, figures: Figures, offset: np.ndarray) -> bytes
     distance = np.linalg.norm(np.nanmean(known(figures.points), 0) - np.nanmean(centres, 0))
     vertices, edges = [], []
     for k in np.flatnonzero(np.isfinite(centres).all(1)).tolist():
-        rays = _corners(figures, int(figures.structure.image_camera[k])) @ rotation[k].T
+        rays = format_corners(figures, int(figures.structure.image_camera[k])) @ rotation[k].T
         first = len(vertices)
         vertices += [centres[k] - offset, *(centres[k] - offset + FRUSTUM * distance * rays)]
         edges += [(first, first + n) for n in (1, 2, 3, 4)]
@@ -101,10 +65,10 @@ def _stations(result: Adjustment, figures: Figures, offset: np.ndarray) -> bytes
     lines += [f"element edge {len(edges)}", "property int vertex1", "property int vertex2"]
     body = [" ".join(f"{value:.6f}" for value in vertex) for vertex in vertices]
     body += [f"{a} {b}" for a, b in edges]
-    return _header([_offset(offset)], lines, "ascii") + ("\n".join(body) + "\n").encode("ascii")
+    return ply_header([told_offset(offset)], lines, "ascii") + ("\n".join(body) + "\n").encode("ascii")
 
 
-def _corners(figures: Figures, camera: int) -> Float[np.ndarray, "4 3"]:
+def format_corners(figures: Figures, camera: int) -> Float[np.ndarray, "4 3"]:
     """Directions to the corners of the format in the system of the photograph, without distortion, of depth 1."""
     one, values = figures.structure.cameras[camera], figures.interior[camera]
     element = dict(zip(one.model.elements, values.tolist(), strict=False))

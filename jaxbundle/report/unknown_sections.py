@@ -42,7 +42,7 @@ def images(figures: Figures) -> Section:
         ReportColumn("rays", figures.rays_of_image, "rays", place=1),
     )
     table = ReportTable("images", columns, *first(every, IMAGES, "images"), results=every, below=True, rows=every)
-    return Section("Images: adjusted value and standard deviation below", (table,), Chapter.IMAGES)
+    return Section("Images: adjusted values and standard deviations", (table,), Chapter.IMAGES)
 
 
 def inner_orientations(figures: Figures) -> Section:

@@ -4,7 +4,7 @@ import dataclasses
 import importlib
 from collections.abc import Callable
 from pathlib import Path
-from typing import NamedTuple, Unpack
+from typing import Literal, NamedTuple, Unpack
 
 import jax
 import jax.numpy as jnp
@@ -46,7 +46,12 @@ from jaxbundle.solve.verdict import with_verdict
 
 DAMPINGS = {"levenberg-marquardt": Marquardt, "gauss-newton": Undamped}
 RAYS_FOR_DEVICES = 10_000
+UNDAMPED_STEPS = 30  # maximum number of full steps where damped ones creep
 CREEPING_STEPS = 10  # both methods need fewer iterations where the datum is determined
+
+
+Phase = Literal["planning", "compiling", "iterating", "standard deviations"]
+"""Phases of an adjustment: the first iteration compiles its program, unless an equal block was adjusted before."""
 
 
 class Progress(NamedTuple):
@@ -75,6 +80,7 @@ def adjust(
     *,
     checkpoint: Path | None = None,
     progress: Callable[[Progress], None] | None = None,
+    phase: Callable[[Phase], None] | None = None,
     **choices: Unpack[Choices],
 ) -> Adjustment:
     """Adjusts a block by least squares, starting from its values.
@@ -99,6 +105,7 @@ def adjust(
         checkpoint: a file for the state after each accepted iteration; if it exists, the adjustment resumes from
             it.
         progress: a function that is called after each iteration.
+        phase: a function that is called with the name of each phase when it begins.
 
     Returns: the adjustment, with its options. After Ctrl-C, or a KeyboardInterrupt in `progress`, it has the last
     accepted unknowns, without standard deviations.
@@ -121,11 +128,11 @@ def adjust(
     else:
         require_consistent(values)
     if wanted.robust is None:
-        found = _least_squares(block, wanted, _Watch(checkpoint, progress))
+        found = _least_squares(block, wanted, _Watch(checkpoint, progress, phase))
         return with_verdict(found) if block.concrete else found
     if checkpoint is not None:
         raise ValueError("`checkpoint` is not supported together with `robust`")
-    watch, fully = _Watch(None, progress), dataclasses.replace(wanted, robust=None)
+    watch, fully = _Watch(None, progress, phase), dataclasses.replace(wanted, robust=None)
     quickly = dataclasses.replace(fully, precision=False)
     solve = Solve(
         lambda b: _least_squares(b, quickly, watch, inspected=False), lambda b: _least_squares(b, fully, watch)
@@ -138,6 +145,12 @@ class _Watch(NamedTuple):
 
     checkpoint: Path | None
     progress: Callable[[Progress], None] | None
+    phase: Callable[[Phase], None] | None = None
+
+    def begins(self, phase: Phase) -> None:
+        """Tells who looks on that a phase begins."""
+        if self.phase is not None:
+            self.phase(phase)
 
 
 def _least_squares(block: Block, options: Options, watch: _Watch, inspected: bool = True) -> Adjustment:
@@ -151,9 +164,11 @@ def _least_squares(block: Block, options: Options, watch: _Watch, inspected: boo
     optimised = len(block.structure.ray_image) >= RAYS_FOR_OPTIMISATION
     centres = np.asarray(values.exterior.projection_centre) if values.concrete else None
     devices, precision = devices_of(values, options.devices), options.precision
+    watch.begins("planning")
     plan = planned(block.structure, block.groups, centres, devices, options.reduced, direct=precision)
     rule = options.stop.of(centred)
     run = _Run(centred, plan, Arguments(problem(plan, centred), rule.arranged(plan.order)), optimised, options, watch)
+    watch.begins("compiling")
     arranged, iterations = _solved(run, rule)
     given = run.args.problem
     if block.concrete:  # an interruption returns immediately
@@ -166,6 +181,8 @@ def _least_squares(block: Block, options: Options, watch: _Watch, inspected: boo
     if block.structure.datum.kind == "inner":
         arranged = to_elimination_order(plan, constrained(centred, to_block_order(plan, arranged)))
         block = dataclasses.replace(block, structure=freed(block.structure))
+    if precision:
+        watch.begins("standard deviations")
     ended = Ended(iterations, origin, options, precision, inspected and block.concrete, optimised)
     return adjustment(block, plan, given, arranged, ended)
 
@@ -266,6 +283,8 @@ def _step_by_step(run: _Run, checkpointer: Checkpointer | None) -> tuple[Ordered
                 checkpointer.save(to_block_order(run.plan, found.unknowns), state)
             if progress is not None:
                 progress(_progress(run.block, state, accepted))
+            if len(entries) == 1:
+                run.watch.begins("iterating")
             if accepted:
                 costs.append(float(state.cost))
                 creeping = is_creeping(run.block, costs)
@@ -273,11 +292,29 @@ def _step_by_step(run: _Run, checkpointer: Checkpointer | None) -> tuple[Ordered
         if jax.process_count() > 1 or not int(found.state.accepted):
             raise  # the other processes would wait for ever; or there is no accepted step
         interrupted = not bool(found.state.ended)
+    if creeping:
+        further = _undamped(run, found, args)
+        if further is not None:
+            found, creeping = further, False
+            last = float(found.state.cost), 0.0, float(found.state.step), True
+            entries.append((int(found.state.trials) - 1, *last))
     state, result = jax.tree.map(lambda x: on_device(on_host(x)), (found.state, found.result))
     status = Status.INTERRUPTED if interrupted else Status(int(status_of(result)))
     if creeping and status is Status.MAXIMUM_ITERATIONS:
         status = Status.CREEPING
     return found.unknowns, _iterations(state, on_device(int(status)), history_of(entries, most))
+
+
+def _undamped(run: _Run, found: Solved, args: Arguments) -> Solved | None:
+    """Full steps of Gauss-Newton from where damped ones creep along a curved valley; None unless they converge at a
+    smaller cost."""
+    damping, steps = Undamped(), min(UNDAMPED_STEPS, run.options.max_iterations - int(found.state.trials))
+    if steps <= 0:
+        return None
+    state = found.state._replace(damping=damping.initial_state())
+    further = solver.run(BundleSolver(damping), found.unknowns, args, state, steps, optimised=run.optimised)
+    converged = int(status_of(further.result)) == Status.CONVERGED and bool(further.state.ended)
+    return further if converged and float(further.state.cost) <= float(found.state.cost) else None
 
 
 def is_creeping(block: Block, costs: list[float]) -> bool:

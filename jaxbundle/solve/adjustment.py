@@ -11,12 +11,12 @@ from jaxtyping import Array, Float, Int
 from jaxbundle.block.block import Block
 from jaxbundle.block.findings import Finding, Kind, Severity, of_kind
 from jaxbundle.block.named import CameraValues, ImageValues, Named, PointValues
+from jaxbundle.block.notebook import result_html
 from jaxbundle.block.wording import counted
 from jaxbundle.normals.pcg import TOLERANCE
 from jaxbundle.numerics.host import array_module, is_concrete, on_device, on_host
 from jaxbundle.numerics.offered import offered
 from jaxbundle.solve.history import History
-from jaxbundle.solve.notebook import result_html
 from jaxbundle.solve.options import Options
 from jaxbundle.solve.status import Status
 from jaxbundle.solve.weight_functions import with_weights

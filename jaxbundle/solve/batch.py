@@ -7,6 +7,8 @@ from typing import Any, NamedTuple, Unpack
 
 from jaxbundle.block.block import Block
 from jaxbundle.block.given import require_a
+from jaxbundle.block.notebook import table_html
+from jaxbundle.block.wording import counted
 from jaxbundle.solve.adjust import adjust
 from jaxbundle.solve.adjustment import Adjustment, Status
 from jaxbundle.solve.options import Choices, Options, chosen
@@ -89,6 +91,10 @@ class Batch:
     def table(self) -> list[Row]:
         """The table with one row for each block."""
         return [outcome.row for outcome in self.outcomes]
+
+    def _repr_html_(self) -> str:
+        rows = [_cells(row) for row in self.table()]
+        return table_html(f"Batch of {counted(len(rows), 'block')}", Row._fields, rows)
 
     def summary(self) -> str:
         """The table in aligned columns, one line per block, with the beginning of its problem."""

@@ -38,9 +38,8 @@ from jaxbundle.statistics.subsets import Subset, all_observations, default_group
 Form = Literal["redundancy", "helmert"]
 Groups = Float[np.ndarray, " group"]
 Free = Bool[np.ndarray, " group"]
-MIN_REDUNDANCY = (
-    3.0  # minimum redundancy of a group: with less, the relative standard deviation of its component exceeds 0.8
-)
+# minimum redundancy of a group: with less, the relative standard deviation of its component exceeds 0.8
+MIN_REDUNDANCY = 3.0
 MAX_STEP = 100.0  # maximum change of a component in one round
 MAX_COMPONENT = 1e6  # or its inverse: sigmas that are wrong by a factor of a thousand are not a problem of weights
 INSEPARABLE = 1e-10  # minimum eigenvalue of S with a unit diagonal

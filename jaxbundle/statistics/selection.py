@@ -24,9 +24,8 @@ from jaxbundle.statistics.hypotheses import Cause, Hypothesis
 
 CONTROLLED = 1e-6  # minimum part of an error in the residuals; a smaller part is affected by rounding
 CONTROLLED_AS_GROUP = 0.01  # for a group: a smaller part means that the unknowns absorb the error
-MIN_SCALE = (
-    0.02  # relative scale of all rays of an image: smaller ones are errors of the camera model, not a wrong resolution
-)
+# relative scale of all rays of an image: smaller ones are errors of the camera model, not a wrong resolution
+MIN_SCALE = 0.02
 TINY = 1e-250  # probabilities below are computed as logarithms
 EXACT = 0.1  # tolerance of the linear estimate of the size of a mistake of size 1, in addition to SURE s.d.
 SURE = 4.0
@@ -34,8 +33,11 @@ AS_GOOD = 4.0  # maximum increase of v^T P v of an alternative in units of s^2: 
 
 
 class Tested(NamedTuple):
-    """Tests in the presence of the accepted hypotheses: T, degrees of freedom, logarithm of the probability, and the
-    part of the error in the residuals (minimum redundancy number of a combination of the columns)."""
+    """Tests of hypotheses in the presence of the accepted ones.
+
+    T, degrees of freedom, logarithm of the probability, and the part of the error in the residuals (minimum redundancy
+    number of a combination of the columns).
+    """
 
     statistic: Float[np.ndarray, " hypothesis"]
     degrees: Int[np.ndarray, " hypothesis"]

@@ -62,8 +62,11 @@ class Suspicion(NamedTuple):
 
 
 class Suspects(NamedTuple):
-    """The suspicions, the most severe first; sigma0 without all their errors; the adjustment without these errors,
-    None without any. `observations`: table, row and component of each wrong observation."""
+    """The suspicions, the most severe first, and the result without their errors.
+
+    sigma0 without all their errors; the adjustment without these errors, None without any. `observations`: table, row
+    and component of each wrong observation.
+    """
 
     suspicions: tuple[Suspicion, ...]
     sigma0: float

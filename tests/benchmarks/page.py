@@ -2,12 +2,15 @@
 
     python tests/benchmarks/page.py [strips] [images of a strip] [points of an image] [file]
 
+With a file the page is written there, and the time that Chromium needs to show it is measured (playwright drives it).
+
 The block is not adjusted: its residuals are drawn, its cofactors and redundancy numbers are typical ones.
 """
 
 import sys
 import time
 from pathlib import Path
+from shutil import which
 
 import jax
 import jax.numpy as jnp
@@ -19,10 +22,7 @@ jax.config.update("jax_enable_x64", True)
 from cases.simulated_blocks import CAMERA  # noqa: E402
 
 from jaxbundle.planning.simulation import simulate  # noqa: E402
-from jaxbundle.report.figures import figures_of  # noqa: E402
-from jaxbundle.report.html.page import html_of  # noqa: E402
-from jaxbundle.report.made import made_section  # noqa: E402
-from jaxbundle.report.sections import sections_of  # noqa: E402
+from jaxbundle.report.html.page import report_html  # noqa: E402
 from jaxbundle.solve.adjustment import Adjustment, BlockCofactors, Iterations  # noqa: E402
 from jaxbundle.solve.history import history_of  # noqa: E402
 from jaxbundle.solve.options import Options  # noqa: E402
@@ -66,14 +66,29 @@ def main() -> None:
         seed=1,
     ).block
     print(block)
-    figures = figures_of(typical(block), ())
-    sections = [*(section() for section in sections_of(figures)), made_section(figures)]
+    adjustment = jax.block_until_ready(typical(block))
     start = time.process_time(), time.perf_counter()
-    page = html_of(figures, sections).encode("utf-8")
+    page = report_html(adjustment, found=()).encode("utf-8")
     print(f"{len(page) / 1e6:.2f} MB, {time.process_time() - start[0]:.1f} s of processor time,", end=" ")
     print(f"{time.perf_counter() - start[1]:.1f} s")
     if len(sys.argv) > 4:
         Path(sys.argv[4]).write_bytes(page)
+        print(f"shown in Chromium after {shown(Path(sys.argv[4]).resolve()):.2f} s")
+
+
+def shown(path: Path) -> float:
+    """Seconds from opening the page until its plan is drawn with all points."""
+    from playwright.sync_api import sync_playwright
+
+    with sync_playwright() as driver:
+        browser = driver.chromium.launch(executable_path=which("chromium"), args=["--no-sandbox"])
+        tab = browser.new_page(viewport={"width": 1280, "height": 900})
+        start = time.perf_counter()
+        tab.goto(path.as_uri())
+        tab.wait_for_function("document.documentElement.plan && document.documentElement.plan.places")
+        seconds = time.perf_counter() - start
+        browser.close()
+    return seconds
 
 
 if __name__ == "__main__":

@@ -14,7 +14,7 @@ import numpy as np
 import pytest
 from cases.simulated_blocks import small_block
 
-from jaxbundle.cli import adjusting, codes, demo
+from jaxbundle.cli import adjusting, codes, demo, progress
 from jaxbundle.cli.interruption import Interruption
 from jaxbundle.cli.progress import HEADER, ProgressLines
 from jaxbundle.io import read, write_block_folder
@@ -358,6 +358,43 @@ def test_progress_on_a_terminal(monkeypatch, capsys):
         lines.iteration(Progress(2, 12.5, 2e-4, math.nan, False, 1.5))
     out, err = capsys.readouterr()
     assert out == "" and HEADER in err and "rejected" in err and "adjusting" in err and "nan" not in err
+
+
+def test_phases_and_the_time_left_on_a_terminal(monkeypatch, capsys):
+    """An iteration of 20 s whose steps shrink tenfold: at 1e-4 the limit of 1e-8 is four iterations away."""
+    monkeypatch.setenv("FORCE_COLOR", "1")
+    monkeypatch.setenv("COLUMNS", "160")
+    clock = iter(range(0, 10_000, 20))
+    monkeypatch.setattr(progress.time, "perf_counter", lambda: float(next(clock)))
+    lines = ProgressLines()
+    lines.rule = AngleRule()
+    with lines.phase("adjusting"):
+        for phase in ("planning", "compiling", "iterating"):
+            lines.begins(phase)
+        for k in range(1, 5):
+            lines.iteration(Progress(k, 12.5, 1e-4, 10.0**-k, True, 1.5))
+            status = str(lines._status.status)
+        lines.begins("standard deviations")
+    err = capsys.readouterr().err
+    assert status == "iterating, about 80 s left (4 iterations of 20.0 s), then standard deviations"
+    for phase in ("planning", "compiling", "iterating", "standard deviations"):
+        assert f"{phase}: " in err
+
+
+def test_time_left():
+    assert progress.iterations_left([1.0, 0.1, 0.2], AngleRule()) == 21
+    assert progress.iterations_left([0.1, 0.2], AngleRule()) is None
+    assert progress.iterations_left([0.1], AngleRule()) is None
+    assert progress.iterations_left([1.0, 0.1], PointRule(1e-3)) is None
+    assert progress.iterations_left([1.0, 1e-9], AngleRule()) == 1
+    assert progress.told_left(3, 1.0) == "" and progress.told_left(None, 100.0) == ""
+    assert progress.told_left(30, 20.0).startswith(", about 10 min left (30 iterations")
+
+
+def test_phases_are_told_in_their_order():
+    told = []
+    adjust(small_block().block, phase=told.append)
+    assert told == ["planning", "compiling", "iterating", "standard deviations"]
 
 
 def test_runtime_is_in_double_precision_on_all_cores_and_keeps_programs(tmp_path):

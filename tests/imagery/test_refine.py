@@ -63,7 +63,7 @@ def test_images_of_another_size_are_refused(block):
     name = block.structure.image_names[0]
     with pytest.raises(jb.BlockError, match=f"image {name} has 20 x 10 px, camera c 2832 x 2128"):
         refine(block, {name: in_memory(np.zeros((10, 20)))})
-    with pytest.raises(jb.BlockError, match="none of the images of the block is there"):
+    with pytest.raises(jb.BlockError, match="none of the images of the block was given"):
         refine(block, {})
 
 

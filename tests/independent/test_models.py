@@ -134,7 +134,7 @@ def test_gross_errors_leave_their_model(simulation):
     (finding,) = [f for f in told if f.kind is Kind.SUSPECT]
     name = block.structure.point_names[block.structure.ray_point[wrong]]
     assert any(subject.names == ("1_02", name) for subject in finding.subjects)
-    assert "left out of models, since their rays do not meet" in finding.words and len(models) == 6
+    assert "left out of models, because their rays do not intersect" in finding.words and len(models) == 6
 
 
 def _with_rays(block: jb.Block, coordinates: np.ndarray) -> jb.Block:

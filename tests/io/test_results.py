@@ -3,6 +3,7 @@
 import dataclasses
 import importlib
 import json
+import re
 from xml.etree import ElementTree
 
 import numpy as np
@@ -31,8 +32,10 @@ def points(result):
 
 def test_a_cloud_keeps_double_precision(tmp_path, result, points):
     export(result, tmp_path / "a.ply")
-    rows = ply_vertices(tmp_path / "a.ply", (tmp_path / "a.ply").read_bytes(), ("x", "y", "z", "sX", "rays"))
-    np.testing.assert_array_equal(np.column_stack([rows[axis] for axis in "xyz"]), points)
+    content = (tmp_path / "a.ply").read_bytes()
+    rows = ply_vertices(tmp_path / "a.ply", content, ("x", "y", "z", "sX", "rays"))
+    offset = [float(x) for x in re.findall(rb"offset to be added: (.*)\n", content)[0].split()]
+    np.testing.assert_allclose(np.column_stack([rows[axis] for axis in "xyz"]) + offset, points, rtol=0, atol=1e-9)
     np.testing.assert_allclose(rows["sX"], np.asarray(result.standard_deviations.object_points)[:, 0], rtol=1e-6)
     assert rows["rays"].sum() == 47
     export(result.block, tmp_path / "b.ply")

@@ -7,7 +7,7 @@ from scipy import ndimage
 
 import jaxbundle as jb
 from jaxbundle.imagery.exif import Station
-from jaxbundle.measuring.measured_folder import write_measured
+from jaxbundle.measuring.measured_folder import StationSigmas, write_measured
 from jaxbundle.measuring.measured_rays import MeasuredRays
 from jaxbundle.measuring.measurement import CameraGiven, MeasureOptions, measure
 from jaxbundle.measuring.photo_set import photo_set, read_positions
@@ -38,13 +38,13 @@ def test_all_that_is_wrong_is_told_at_once(photos, tmp_path):
     assert told.startswith("4 problems in the images:")
     assert "b.png: is not a readable image" in told
     assert "c.png: is blank: its grey values have a standard deviation of 0.0; leave it out" in told
-    assert "turned.png: has 240 x 320 px, a.png of the same camera 320 x 240 px; store it as the camera" in told
+    assert "turned.png: has 240 x 320 px, a.png of the same camera 320 x 240 px; use the original image" in told
     assert "absent.png: does not exist; check the name" in told
 
 
 def test_images_given_twice(photos, tmp_path):
     (tmp_path / "copy.png").write_bytes(photos[0].read_bytes())
-    with pytest.raises(jb.imagery.ImageError, match=r"copy.png: is the same image as .*a.png; give every image once"):
+    with pytest.raises(jb.imagery.ImageError, match=r"copy.png: is the same image as .*a.png; give each image once"):
         photo_set([*photos, tmp_path / "copy.png"], None, GIVEN)
     with pytest.raises(jb.imagery.ImageError, match="has the name of"):
         photo_set([photos[0], *photos], None, GIVEN)
@@ -76,7 +76,7 @@ def test_blurred_image_is_named(photos, tmp_path):
 
 
 def test_images_without_overlap(photos):
-    with pytest.raises(jb.imagery.ImageError, match="no two images have points in common; give images that overlap"):
+    with pytest.raises(jb.imagery.ImageError, match="no two images have common points; give images that overlap"):
         measure(photos, options=MeasureOptions(camera=GIVEN, number=64))
     with pytest.raises(jb.imagery.ImageError, match="there is one image only"):
         measure(photos[:1], options=MeasureOptions(camera=GIVEN))
@@ -99,9 +99,13 @@ def test_block_folder(photos, tmp_path):
     xy = np.arange(10.0).reshape(5, 2)
     rays = MeasuredRays(image, point, xy, np.full((5, 2), 0.1), {})
     stations = np.array([[0.0, 0, 100], [10, 0, 100], [np.nan] * 3])
-    write_measured(tmp_path / "block", photo_set(photos, None, GIVEN), rays, stations, (3.0, 6.0))
+    write_measured(tmp_path / "block", photo_set(photos, None, GIVEN), rays, stations, StationSigmas())
     tables = {path.name: path.read_text().splitlines() for path in (tmp_path / "block").iterdir()}
     assert tables["images.csv"][:2] == ["image,camera,X0,Y0,Z0,omega,phi,kappa", "a.png,camera,,,,,,"]
     assert tables["rays.csv"][5] == "c.png,2,8.0,9.0,0.1,0.1"
-    assert tables["stations.csv"][1:] == ["a.png,0.0,0.0,100.0,3.0,3.0,6.0", "b.png,10.0,0.0,100.0,3.0,3.0,6.0"]
+    assert tables["stations.csv"][1:] == [
+        "a.png,0.0,0.0,100.0,1.0,1.0,1.5,receiver",
+        "b.png,10.0,0.0,100.0,1.0,1.0,1.5,receiver",
+    ]
     assert "priors = { principal_distance = 9.0 }" in tables["block.toml"]
+    assert "priors = { shift = 5.0 }" in tables["block.toml"]

@@ -29,7 +29,7 @@ def test_scatter_agrees_with_the_prediction(truth):
     sd = (2 * truth.redundancy * 500) ** -0.5  # of the root of the mean of chi-square / redundancy
     assert found.sigma0 == pytest.approx(1, abs=4 * sd)
     assert found.mean == pytest.approx(1, abs=4 * found.mean_sigma)
-    with pytest.raises(ValueError, match="5 draws tell nothing; give 20 or more"):
+    with pytest.raises(ValueError, match="5 draws are too few; give at least 20"):
         monte_carlo(truth, draws=5)
 
 
@@ -56,7 +56,7 @@ def test_effects_add_up_to_the_variance(truth, point, effects):
     assert len(fixed) == 4 and sum(fixed) == pytest.approx(1, abs=0.02)  # all raised together raise the point as much
     (distance,) = [e for e in found.held if e.subject.component == "principal_distance"]
     assert distance.unit == "mm" and abs(distance.derivative) > 0
-    with pytest.raises(ValueError, match="the function gives an array of shape \\(3,\\); give one number"):
+    with pytest.raises(ValueError, match="the function returns an array of shape \\(3,\\); return one number"):
         sensitivity(truth, lambda b: b.object_points[point])
 
 

@@ -122,7 +122,7 @@ def test_normal_errors_give_a_sigma0_of_one():
 @pytest.mark.parametrize(
     ("arguments", "message"),
     [
-        ({"images": 1}, "1 strips of 1 images; a block needs 1 strip of 2 images at least"),
+        ({"images": 1}, "1 strips of 1 images; a block needs at least 1 strip of 2 images"),
         ({"forward_overlap": 0.4}, "forward overlap is from 0.5 to below 1"),
         ({"side_overlap": 1.0}, "side overlap from 0 to below 1"),
         ({"camera": AerialCamera(coefficients={"K9": 1.0})}, "no interior element K9; there are principal_distance"),

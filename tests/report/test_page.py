@@ -6,6 +6,7 @@ import hashlib
 import json
 import re
 import shutil
+import zlib
 from html.parser import HTMLParser
 
 import jax.numpy as jnp
@@ -18,6 +19,7 @@ from jaxbundle.report import report_html, write_html
 from jaxbundle.report.data import dict_of
 from jaxbundle.report.figures import figures_of
 from jaxbundle.report.html.axes import Axes, log_limits, plan_axes
+from jaxbundle.report.html.packed_scene import _grid, _packed
 from jaxbundle.report.html.page import html_of
 from jaxbundle.report.html.raster import VIRIDIS, png, viridis
 from jaxbundle.report.made import Made, input_files, made_now, made_section
@@ -201,6 +203,22 @@ def test_a_planted_distortion_shows_in_the_field(figures):
     assert (field.mean[:, 0] * across + field.mean[:, 1] * up > 0).all() and field.probability < 1e-6
 
 
+def test_many_points_are_packed_in_few_bytes():
+    """A quarter of a million points of a flat block; what is unpacked differs by less than the step of the grid."""
+    rng = np.random.default_rng(0)
+    xyz = rng.uniform([0, 0, 90], [9000, 5000, 300], (20_000, 3))
+    grid, (low, size) = _grid(xyz)
+    assert size.tolist() == [size[0]] * 3
+    np.testing.assert_allclose(grid / 65535 * size + low, xyz, atol=0.51 * size[0] / 65535)
+    order = np.lexsort((grid[:, 0], grid[:, 1] // 256))
+    packed = _packed(grid[order], np.stack([low, size]), np.exp(rng.normal(-4, 1, xyz.shape)))
+    raw = np.frombuffer(zlib.decompress(base64.b64decode(packed["data"]), -15), np.uint8).reshape(7, -1).astype(int)
+    assert len(packed["data"]) < 7 * 20_000
+    np.testing.assert_array_equal(np.cumsum(raw[0] + 256 * raw[1]) % 65536, grid[order, 0])
+    np.testing.assert_array_equal(raw[2:6:2] + 256 * raw[3:6:2], grid[order, 1:].T)
+    assert raw[6].min() == 1 and raw[6].max() <= 255
+
+
 def test_maps_and_connections(figures):
     found = point_pictures.precision_map(figures, "Z")
     sd = figures.points_sd[:, 2]
@@ -295,12 +313,19 @@ def test_tables_sort_and_search(opened):
     assert tab.evaluate("document.documentElement.scrollWidth") == 1280
 
 
-def test_the_plan_is_drawn_and_leads_to_rows(opened):
+def test_the_plan_is_drawn_and_leads_to_rows(opened, figures):
     tab = opened(viewport={"width": 1280, "height": 900})
     tab.wait_for_function("document.documentElement.plan && document.documentElement.plan.places")
     colours = (
         "(c) => new Set(new Uint32Array(c.getContext('2d').getImageData(0, 0, c.width, c.height).data.buffer)).size"
     )
+    data, grid = tab.evaluate("[scene.textContent, [...document.documentElement.plan.ties.grid]]")
+    ties = json.loads(data)["ties"]
+    unpacked = np.reshape(grid, (3, -1)).T / 65535 * ties["size"] + ties["low"]
+    seen = plan(figures)
+    of_rows = seen.points[json.loads(data)["rows"]]
+    assert len(of_rows) == (seen.role == 0).sum()
+    np.testing.assert_allclose(unpacked, of_rows, atol=max(ties["size"]) / 65535)
     canvas = tab.locator("canvas")
     assert canvas.evaluate(colours) > 20
     canvas.scroll_into_view_if_needed()

@@ -4,6 +4,7 @@ import copy
 import dataclasses
 import json
 import sys
+import types
 from typing import Any
 
 import matplotlib
@@ -14,15 +15,17 @@ from matplotlib import pyplot
 from scipy.stats import chi2
 
 import jaxbundle as jb
+from jaxbundle.block.problems import BlockError
 from jaxbundle.cli import main, showing
+from jaxbundle.io.formats.ply_files import ply_vertices
 from jaxbundle.report.comparison import compare_reports, congruency
 from jaxbundle.report.comparison_report import comparison_html, comparison_text
 from jaxbundle.report.data import dict_of
 from jaxbundle.report.figures import figures_of
 from jaxbundle.report.files import write_report
-from jaxbundle.report.point_cloud import POINT
 from jaxbundle.report.sections import sections_of
 from jaxbundle.solve.adjust import adjust
+from jaxbundle.solve.batch import Batch, Outcome
 
 matplotlib.use("Agg")  # no window
 
@@ -165,13 +168,17 @@ def test_new_axes_and_wrong_arguments(result):
 
 def test_point_cloud(result, tmp_path):
     content = jb.report.to_ply(result, tmp_path / "points.ply", stations=tmp_path / "stations.ply").read_bytes()
-    header, _, body = content.partition(b"end_header\n")
+    header = content.partition(b"end_header\n")[0]
     offset = np.array(header.split(b"offset to be added: ")[1].split(b"\n")[0].split(), float)
-    rows = np.frombuffer(body, POINT)
+    rows = ply_vertices(tmp_path / "points.ply", content, ("sZ", "class", "largest_w"))
     xyz = np.stack([rows[axis] for axis in "xyz"], 1) + offset
     np.testing.assert_allclose(xyz, result.block.object_points, atol=1e-9)
-    np.testing.assert_allclose(rows["sd_z"], np.asarray(result.standard_deviations.object_points)[:, 2], rtol=1e-6)
+    np.testing.assert_allclose(rows["sZ"], np.asarray(result.standard_deviations.object_points)[:, 2], rtol=1e-6)
     assert np.bincount(rows["class"]).tolist() == [88, 9, 3]
+    structure, w = result.block.structure, np.abs(jb.statistics.reliability(result).w[0]).max(1) / float(result.sigma0)
+    assert rows["largest_w"][20] == pytest.approx(w[structure.ray_point == 20].max())
+    jb.export(result, tmp_path / "again.ply")
+    assert (tmp_path / "again.ply").read_bytes() == content
     lines = (tmp_path / "stations.ply").read_text().splitlines()
     first = np.array([line.split() for line in lines[lines.index("end_header") + 1 :][:5]], float) + offset
     np.testing.assert_allclose(first[0], result.block.exterior.projection_centre[0], atol=1e-5)
@@ -191,6 +198,78 @@ def test_notebook(result):
     structure = dataclasses.replace(result.block.structure, name="<b>")
     odd = dataclasses.replace(result, block=dataclasses.replace(result.block, structure=structure))
     assert "&lt;b&gt;" in odd._repr_html_()
+
+
+def test_blocks_and_batches_in_a_notebook(result):
+    shown = result.block._repr_html_()
+    assert "8 images" not in shown and "<td align='left'>8</td>" in shown and len(shown) < 20_000
+    structure = dataclasses.replace(result.block.structure, name="<b>")
+    assert "Block &lt;b&gt;" in dataclasses.replace(result.block, structure=structure)._repr_html_()
+    batch = Batch((Outcome("<i>", result, 1.5), Outcome("bad", ValueError("no rays"), 0.1)))
+    shown = batch._repr_html_()
+    assert "&lt;i&gt;" in shown and "no rays" in shown and shown.count("<tr>") == 3 and "Batch of 2 blocks" in shown
+
+
+class Recorded(types.ModuleType):
+    """Stands for the package rerun: it keeps what is logged."""
+
+    def __init__(self):
+        super().__init__("rerun")
+        self.logged, self.saved, self.rows = {}, [], []
+
+    def RecordingStream(self, name):
+        self.name = name
+        return self
+
+    def save(self, path):
+        self.saved.append(path)
+
+    def log(self, entity, *what, static=False):
+        self.logged.setdefault(entity if isinstance(entity, str) else "/".join(entity), []).append(what)
+
+    def set_time(self, timeline, sequence):
+        self.rows.append((timeline, sequence))
+
+    def flush(self):
+        pass
+
+    disconnect = flush
+
+    def __getattr__(self, kind):
+        if kind.startswith("_"):
+            raise AttributeError(kind)
+        return lambda *values, **named: (kind, values, named)
+
+
+def test_rerun(result, monkeypatch, tmp_path):
+    """A point on the axis of the recorded pinhole is where the image has its principal point."""
+    rerun = Recorded()
+    monkeypatch.setitem(sys.modules, "rerun", rerun)
+    assert jb.report.to_rerun(result, tmp_path / "block.rrd") == tmp_path / "block.rrd" and rerun.saved
+    structure, block = result.block.structure, result.block
+    assert len(rerun.logged["points/tie"][0][0][1][0]) == 88 and len(rerun.logged["points/check"][0][0][1][0]) == 3
+    ((_, _, pose), (_, _, lens)) = rerun.logged[f"images/{structure.image_names[2]}"][0]
+    rays = structure.ray_image == 2
+    xyz = np.asarray(block.object_points)[structure.ray_point[rays]] - block.exterior.projection_centre[2]
+    u = xyz @ pose["mat3x3"]
+    assert (u[:, 2] > 0).all()
+    projected = u[:, :2] / u[:, 2:] * lens["focal_length"] + lens["principal_point"]
+    assert (
+        np.abs(projected - block.rays.coordinates[rays]).max() < 80
+    )  # px: 0.43 mm of distortion in the corner, which a pinhole has not
+    (name,) = [name for name in rerun.logged if name.startswith(f"images/{structure.image_names[2]}/residuals x ")]
+    arrows = rerun.logged[name][0][0][2]
+    v = np.asarray(result.residuals[0])[rays] * float(name.split(" x ")[1])
+    np.testing.assert_allclose(arrows["vectors"], v * [1, -1], atol=1e-9)
+    assert rerun.rows == [("iteration", k + 1) for k in range(int(result.iterations.trials))]
+    assert len(rerun.logged["iterations/vTPv"]) == len(rerun.rows)
+
+
+def test_rerun_is_missing(result, monkeypatch, tmp_path):
+    monkeypatch.setitem(sys.modules, "rerun", None)
+    with pytest.raises(BlockError, match=r"to_rerun needs the package rerun-sdk, .*'jaxbundle\[rerun\]'"):
+        jb.report.to_rerun(result, tmp_path / "block.rrd")
+    assert not (tmp_path / "block.rrd").exists()
 
 
 # Comparisons

@@ -177,7 +177,7 @@ def test_text_opens_with_findings_and_fits_the_page(adjustment):
         "Verdict",
         "Adjustment",
         "Observations",
-        "Images: adjusted value and standard deviation below",
+        "Images: adjusted values and standard deviations",
     ]
     assert titles[4:] == [
         "Cameras: estimated elements",

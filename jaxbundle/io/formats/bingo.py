@@ -26,14 +26,13 @@ from jaxbundle.io.formats.collected import (
 )
 from jaxbundle.io.formats.foreign_block import DEFAULT, Alternative, ForeignBlock, Known, ReadOptions, element
 from jaxbundle.io.formats.metric_form import in_mm
+from jaxbundle.io.formats.photo_rows import photo_rows, read_photo_rows, short_names, written_names
 from jaxbundle.io.formats.source import AGAIN, lines_of, numbers
 from jaxbundle.io.formats.written import losses_of_block
 from jaxbundle.io.noted import Noted
 
 FILES = ("image.dat", "itera.dat", "geoin.dat")
-END = "-99"
 GON, DEGREE = np.pi / 200, np.pi / 180
-NAME_LENGTH = 15  # maximum number of characters of a point or photo
 
 
 def is_bingo(path: Path) -> bool:
@@ -47,7 +46,11 @@ def read_bingo(path: Path, options: ReadOptions = DEFAULT) -> ForeignBlock:
     Raises: BlockError with all problems.
     """
     noted, found = Noted(), Collected()
-    read_image_dat(path / "image.dat", found, noted)
+
+    def head(_: int, fields: list[str]) -> None:
+        found.camera[fields[0]] = fields[1] if len(fields) > 1 else ""
+
+    read_photo_rows(path / "image.dat", found, noted, head)
     cameras = _geoin(path / "geoin.dat", found, noted)
     _itera(path / "itera.dat", found, noted)
     names = list(cameras) or ["camera"]
@@ -92,27 +95,6 @@ def read_bingo(path: Path, options: ReadOptions = DEFAULT) -> ForeignBlock:
     )
 
 
-def read_image_dat(path: Path, found: Collected, noted: Noted) -> None:
-    """Reads photographs and their points: image.dat of BINGO or of Pix4D."""
-    photo = ""
-    for line, text in enumerate(lines_of(path), 1):
-        fields = text.split()
-        if not fields or fields[0].startswith(("#", "*")):
-            continue
-        if fields[0] == END:
-            photo = ""
-        elif not photo:
-            photo = fields[0]
-            found.image(photo)
-            found.camera[photo] = fields[1] if len(fields) > 1 else ""
-        elif len(fields) < 3:
-            noted.add(path.name, line, f"the row has {len(fields)} fields, not point x y", AGAIN)
-        else:
-            values = numbers(path, line, fields[1:3], noted)
-            if values is not None:
-                found.ray(photo, fields[0], values[0], values[1])
-
-
 def _geoin(path: Path, found: Collected, noted: Noted) -> dict[str, tuple[float, float, float]]:
     """Reads control, and the interior orientation of each camera."""
     cameras = {}
@@ -155,21 +137,6 @@ def _itera(path: Path, found: Collected, noted: Noted) -> None:
             found.coordinates[fields[1]] = (values[0], values[1], values[2])
 
 
-def short_names(names: tuple[str, ...], length: int = NAME_LENGTH) -> tuple[tuple[str, ...], bool]:
-    """Names without blanks and with few characters; other names become numbers. Returns whether one did."""
-    good = all(name and len(name) <= length and not any(c.isspace() for c in name) and name != END for name in names)
-    plain = good and not any(name.startswith(("#", "*", "-")) for name in names)
-    return (names, False) if plain else (tuple(str(k + 1) for k in range(len(names))), True)
-
-
-def write_names(folder: Path, images: tuple[tuple[str, ...], ...], points: tuple[tuple[str, ...], ...]) -> None:
-    """Writes names.csv: the number that was written for each name."""
-    rows = ["kind,written,name"]
-    for kind, (own, written) in (("image", images), ("point", points)):
-        rows += [f'{kind},{number},"{name}"' for name, number in zip(own, written, strict=True) if name != number]
-    (folder / "names.csv").write_text("\n".join(rows) + "\n", encoding="utf-8")
-
-
 def write_bingo(block: Block, path: Path) -> list[str]:
     """Writes image.dat, itera.dat and geoin.dat into a folder.
 
@@ -177,20 +144,16 @@ def write_bingo(block: Block, path: Path) -> list[str]:
     """
     foreign, losses = in_mm(block)
     path.mkdir(parents=True, exist_ok=True)
-    images, renamed = short_names(foreign.images.names)
-    points, numbered = short_names(foreign.points.names)
+    images, points = written_names(foreign, path, losses)
     cameras, _ = short_names(tuple(camera.name for camera in foreign.cameras))
-    if renamed or numbered:
-        write_names(path, (foreign.images.names, images), (foreign.points.names, points))
-        losses.append(f"names of more than {NAME_LENGTH} characters or with blanks: names.csv has their numbers")
     angles = _phi_omega_kappa(foreign.images.rotation) / GON
-    rays, rows = foreign.rays, []
-    for k, name in enumerate(images):
-        rows.append(f"{name} {cameras[foreign.images.camera[k]]}")
-        for r in np.flatnonzero(rays.image == k).tolist():
-            rows.append(f"  {points[rays.point[r]]} {rays.xy[r, 0]:.9f} {rays.xy[r, 1]:.9f}")
-        rows.append(END)
-    (path / "image.dat").write_text("\n".join(rows) + "\n", encoding="utf-8")
+    rows = photo_rows(
+        foreign,
+        points,
+        lambda k: f"{images[k]} {cameras[foreign.images.camera[k]]}",
+        lambda point, _, x, y: f"  {point} {x:.9f} {y:.9f}",
+    )
+    (path / "image.dat").write_text(rows, encoding="utf-8")
     rows = [
         f"ORIA {name} {_row(foreign.images.centre[k])} {_row(angles[k])} {cameras[foreign.images.camera[k]]}"
         for k, name in enumerate(images)

@@ -7,6 +7,7 @@ Source: Bentley, iTwin Capture, "Import photos and control points: Blocks exchan
 """
 
 import math
+from array import array
 from pathlib import Path
 from xml.etree import ElementTree
 from xml.sax.saxutils import escape
@@ -82,8 +83,8 @@ class _Reader:
         self.rotations: list[Float[np.ndarray, "3 3"]] = []
         self.centres: list[tuple[float, float, float]] = []
         self.points: list[str] = []
-        self.coordinates: list[tuple[float, float, float]] = []
-        self.rays: list[tuple[int, int, float, float]] = []
+        self.coordinates = array("d")  # of millions of points: numbers as they are, not as objects
+        self.rays = array("d")
         self.control: list[Known] = []
         self.distances: list[Distance] = []
         self.lost = 0
@@ -187,23 +188,24 @@ class _Reader:
         return value + 0.5
 
     def _measurements(self, one: ElementTree.Element, point: int, name: str) -> None:
+        what = f"point {shown(name)}"
         for row in one:
             if local(row) != "Measurement":
                 continue
             number = child_text(row, "PhotoId")
-            x, y = (self.numbers.of(row, axis, f"point {shown(name)}") for axis in "xy")
+            x, y = (self.numbers.of(row, axis, what) for axis in "xy")
             if number not in self.ids:
                 self.lost += 1
             elif math.isnan(x) or math.isnan(y):
                 cure = "export the measurements in px"
                 self.noted.add(self.path.name, 0, f"point {shown(name)} has a measurement without x and y", cure)
             else:
-                self.rays.append((self.ids[number], point, x + 0.5, y + 0.5))
+                self.rays.extend((self.ids[number], point, x + 0.5, y + 0.5))
 
     def _tie_point(self, one: ElementTree.Element) -> None:
         point = len(self.points)
         self.points.append(child_text(one, "Id") or f"tie {point + 1}")
-        self.coordinates.append(self._triple(one, "Position/", self.points[-1]))
+        self.coordinates.extend(self._triple(one, "Position/", self.points[-1]))
         self._measurements(one, point, self.points[-1])
 
     def _control_point(self, one: ElementTree.Element) -> None:
@@ -218,7 +220,7 @@ class _Reader:
         place = self._triple(one, "Position/", name)
         self.control.append(Known(name, place, (horizontal, horizontal, vertical), check))
         self.points.append(name)
-        self.coordinates.append((math.nan, math.nan, math.nan))
+        self.coordinates.extend((math.nan, math.nan, math.nan))
         self._measurements(one, point, name)
 
     def _constraint(self, one: ElementTree.Element) -> None:
@@ -241,7 +243,7 @@ class _Reader:
             findings.append(Finding(Kind.UNUSED, what, grade=Severity.NOTE))
         if self.noted:
             raise self.noted.error()
-        rays = np.array(self.rays, float).reshape(-1, 4)
+        rays = np.array(self.rays).reshape(-1, 4)
         return ForeignBlock(
             format="BlocksExchange file",
             name=self.path.resolve().stem,
@@ -252,7 +254,7 @@ class _Reader:
                 np.array(self.rotations).reshape(-1, 3, 3),
                 np.array(self.centres).reshape(-1, 3),
             ),
-            points=Points(tuple(self.points), np.array(self.coordinates, float).reshape(-1, 3)),
+            points=Points(tuple(self.points), np.array(self.coordinates).reshape(-1, 3)),
             rays=RayTable(rays[:, 0].astype(np.int64), rays[:, 1].astype(np.int64), rays[:, 2:]),
             control=tuple(self.control),
             distances=tuple(self.distances),

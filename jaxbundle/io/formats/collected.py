@@ -9,9 +9,8 @@ from jaxtyping import Float
 from jaxbundle.camera.brown import DISTORTION_FREE
 from jaxbundle.io.formats.foreign_block import ForeignBlock, ForeignCamera, Images, Known, Points, RayTable
 
-SIGMA = (
-    0.005  # mm, of image coordinates where a format has none: half a pixel of scanned film, one pixel of most sensors
-)
+# mm, of image coordinates where a format has none: half a pixel of scanned film, one pixel of most sensors
+SIGMA = 0.005
 IN_MM = "image coordinates have a standard deviation of 0.005 mm"
 IN_PX = "image coordinates have a standard deviation of 1 px"
 CONTROL = "control points have standard deviations of 0.05 m in plan and 0.1 m in height"

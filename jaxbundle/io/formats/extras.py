@@ -11,8 +11,10 @@ EXTRAS = {
     "ezdxf": "gis",
     "laspy": "las",
     "lazrs": "las",
-    "exifread": "photos",
+    "PIL": "photos",
+    "rerun": "rerun",
 }
+NAMES = {"PIL": "pillow", "rerun": "rerun-sdk"}  # of packages that are not called like their module
 
 
 def extra(module: str, what: str) -> Any:
@@ -24,5 +26,6 @@ def extra(module: str, what: str) -> Any:
     try:
         return importlib.import_module(module)
     except ImportError as error:
-        cure = f"install it with pip install 'jaxbundle[{EXTRAS[package]}]', or pip install {package}"
-        raise BlockError([Problem(f"{what} needs the package {package}, which is not installed", cure)]) from error
+        name = NAMES.get(package, package)
+        cure = f"install it with pip install 'jaxbundle[{EXTRAS[package]}]', or pip install {name}"
+        raise BlockError([Problem(f"{what} needs the package {name}, which is not installed", cure)]) from error

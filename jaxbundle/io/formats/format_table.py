@@ -14,15 +14,19 @@ from jaxbundle.io.formats.colmap_writer import write_colmap
 from jaxbundle.io.formats.exterior import write_exterior
 from jaxbundle.io.formats.foreign_block import DEFAULT, ForeignBlock, ReadOptions
 from jaxbundle.io.formats.inpho import is_inpho, read_inpho
+from jaxbundle.io.formats.inpho_writer import write_inpho
 from jaxbundle.io.formats.metashape import is_metashape, read_metashape
+from jaxbundle.io.formats.metashape_writer import write_metashape
 from jaxbundle.io.formats.micmac import is_micmac, read_micmac, write_micmac
 from jaxbundle.io.formats.nvm import is_nvm, read_nvm, write_nvm
 from jaxbundle.io.formats.opensfm import is_opensfm, read_opensfm
 from jaxbundle.io.formats.opensfm_writer import write_opensfm
 from jaxbundle.io.formats.opf import is_opf, read_opf
 from jaxbundle.io.formats.opf_writer import write_opf
+from jaxbundle.io.formats.orima import is_orima, read_orima
 from jaxbundle.io.formats.patb import is_patb, read_patb, write_patb
 from jaxbundle.io.formats.pix4d import is_pix4d, read_pix4d
+from jaxbundle.io.formats.pix4d_writer import write_pix4d
 
 Reader = Callable[[Path, ReadOptions], ForeignBlock]
 Writer = Callable[[Block, Path], list[str]]
@@ -37,7 +41,8 @@ class Format(NamedTuple):
     read: Reader | None
     write: Writer | None
     suffix: str = ""
-    """Suffix of the file that `convert` writes in this format; "" for a folder."""
+    """Suffix of the file that `convert` writes in this format; "" for a folder. A suffix with two points does not
+    follow from the name of the output."""
 
 
 def _colmap_text(block: Block, path: Path) -> list[str]:
@@ -48,7 +53,7 @@ _FORMATS = (
     Format("colmap", "a COLMAP model", is_colmap, read_colmap, write_colmap),
     Format("colmap-text", "a COLMAP model as text", None, read_colmap, _colmap_text),
     Format("opensfm", "an OpenSfM or OpenDroneMap project", is_opensfm, read_opensfm, write_opensfm),
-    Format("metashape", "a Metashape project", is_metashape, read_metashape, None),
+    Format("metashape", "a Metashape project", is_metashape, read_metashape, write_metashape, ".markers.xml"),
     Format(
         "blocksexchange",
         "a BlocksExchange file",
@@ -61,10 +66,11 @@ _FORMATS = (
     Format("nvm", "an NVM file", is_nvm, read_nvm, write_nvm, ".nvm"),
     Format("bingo", "a BINGO project", is_bingo, read_bingo, write_bingo),
     Format("patb", "a PATB project", is_patb, read_patb, write_patb),
-    Format("inpho", "an Inpho project", is_inpho, read_inpho, None),
+    Format("inpho", "an Inpho project", is_inpho, read_inpho, write_inpho, ".prj"),
     Format("micmac", "a MicMac project", is_micmac, read_micmac, write_micmac),
     Format("opf", "an OPF project", is_opf, read_opf, write_opf),
-    Format("pix4d", "a params folder of Pix4D", is_pix4d, read_pix4d, None),
+    Format("pix4d", "a params folder of Pix4D", is_pix4d, read_pix4d, write_pix4d),
+    Format("orima", "measurements of ORIMA", is_orima, read_orima, None),
     Format("exterior", "a table of exterior elements", None, None, write_exterior, ".csv"),
 )
 FORMATS: dict[str, Format] = {form.name: form for form in _FORMATS}

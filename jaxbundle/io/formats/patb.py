@@ -16,7 +16,6 @@ import numpy as np
 
 from jaxbundle.block.block import Block
 from jaxbundle.block.problems import BlockError, Problem
-from jaxbundle.io.formats.bingo import END, NAME_LENGTH, short_names, write_names
 from jaxbundle.io.formats.collected import (
     CONTROL,
     CONTROL_SIGMAS,
@@ -29,6 +28,7 @@ from jaxbundle.io.formats.collected import (
 )
 from jaxbundle.io.formats.foreign_block import DEFAULT, Alternative, ForeignBlock, Known, ReadOptions, element
 from jaxbundle.io.formats.metric_form import in_mm
+from jaxbundle.io.formats.photo_rows import END, photo_rows, read_photo_rows, written_names
 from jaxbundle.io.formats.source import AGAIN, lines_of, numbers
 from jaxbundle.io.formats.written import losses_of_block
 from jaxbundle.io.noted import Noted
@@ -94,27 +94,16 @@ def read_patb(path: Path, options: ReadOptions = DEFAULT) -> ForeignBlock:
 
 
 def _image_points(path: Path, found: Collected, noted: Noted) -> dict[str, float]:
-    """Reads rays, and the principal distance of each photo."""
-    photo, cameras = "", {}
-    for line, text in enumerate(lines_of(path), 1):
-        fields = text.split()
-        if not fields:
-            continue
-        if fields[0] == END:
-            photo = ""
-        elif not photo:
-            values = numbers(path, line, fields[1:2], noted) if len(fields) > 1 else None
-            if len(fields) < 2:
-                noted.add(path.name, line, "the photo has no principal distance", AGAIN)
-            photo = fields[0]
-            found.image(photo)
-            cameras[photo] = values[0] if values else 0.0
-        elif len(fields) < 3:
-            noted.add(path.name, line, f"the row has {len(fields)} fields, not point x y", AGAIN)
-        else:
-            values = numbers(path, line, fields[1:3], noted)
-            if values is not None:
-                found.ray(photo, fields[0], values[0], values[1])
+    """Rays, and the principal distance of each photo."""
+    cameras: dict[str, float] = {}
+
+    def head(line: int, fields: list[str]) -> None:
+        values = numbers(path, line, fields[1:2], noted) if len(fields) > 1 else None
+        if len(fields) < 2:
+            noted.add(path.name, line, "the photo has no principal distance", AGAIN)
+        cameras[fields[0]] = values[0] if values else 0.0
+
+    read_photo_rows(path, found, noted, head)
     return cameras
 
 
@@ -176,21 +165,18 @@ def write_patb(block: Block, path: Path) -> list[str]:
     """
     foreign, losses = in_mm(block)
     path.mkdir(parents=True, exist_ok=True)
-    images, renamed = short_names(foreign.images.names)
-    points, numbered = short_names(foreign.points.names)
-    if renamed or numbered:
-        write_names(path, (foreign.images.names, images), (foreign.points.names, points))
-        losses.append(f"names of more than {NAME_LENGTH} characters or with blanks: names.csv has their numbers")
-    rays, rows = foreign.rays, []
-    for k, name in enumerate(images):
-        camera = foreign.cameras[foreign.images.camera[k]]
-        rows.append(f"{name:>16} {element(camera, 'principal_distance') / MICROMETRES:.6f}")
-        point = np.array([element(camera, "x0"), element(camera, "y0")])
-        for r in np.flatnonzero(rays.image == k).tolist():
-            x, y = (rays.xy[r] - point) / MICROMETRES
-            rows.append(f"{points[rays.point[r]]:>16} {x:.6f} {y:.6f} 1")
-        rows.append(END)
-    (path / f"{path.name}.im").write_text("\n".join(rows) + "\n", encoding="utf-8")
+    images, points = written_names(foreign, path, losses)
+    cameras = [foreign.cameras[k] for k in foreign.images.camera]
+    middle = [(element(camera, "x0"), element(camera, "y0")) for camera in cameras]
+
+    def head(k: int) -> str:
+        return f"{images[k]:>16} {element(cameras[k], 'principal_distance') / MICROMETRES:.6f}"
+
+    def row(point: str, k: int, x: float, y: float) -> str:
+        x, y = (x - middle[k][0]) / MICROMETRES, (y - middle[k][1]) / MICROMETRES
+        return f"{point:>16} {x:.6f} {y:.6f} 1"
+
+    (path / f"{path.name}.im").write_text(photo_rows(foreign, points, head, row), encoding="utf-8")
     rows = []
     for k, name in enumerate(images):
         r = foreign.images.rotation[k].ravel()

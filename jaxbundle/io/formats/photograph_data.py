@@ -8,13 +8,14 @@ is north and east.
 
 import re
 from pathlib import Path
-from typing import Any, NamedTuple
+from typing import NamedTuple
 
 import numpy as np
 from jaxtyping import Float
 
 from jaxbundle.block.findings import Finding, Kind, Severity
-from jaxbundle.block.problems import BlockError, Problem, shown
+from jaxbundle.block.problems import BlockError, Problem
+from jaxbundle.imagery.exif import Station, exif_of
 from jaxbundle.io.formats.attitudes import rotations_of_gimbal
 from jaxbundle.io.formats.extras import extra
 from jaxbundle.io.formats.foreign_block import Known
@@ -64,25 +65,20 @@ class Photograph(NamedTuple):
 def read_photograph(path: Path) -> Photograph:
     """Reads EXIF and XMP of a photograph.
 
-    Raises: BlockError where the file cannot be read or exifread is not installed.
+    Raises: BlockError where the file cannot be read or Pillow is not installed.
 
     Example: omega, phi, kappa of a photograph straight down, its top to the north, are 0.
     """
-    exifread = extra("exifread", "reading EXIF of photographs")
+    extra("PIL.Image", "reading EXIF of photographs")
     try:
         head = file_bytes(path, HEAD)
-        with path.open("rb") as file:
-            tags = exifread.process_file(file, details=False)
     except UnreadableError as error:
         raise BlockError([Problem(f"{path.name} {error.what}", error.cure)]) from error
-    except Exception as error:  # exifread raises any exception for a damaged file
-        what = f"the EXIF of {path.name} cannot be read: {shown(str(error))}"
-        raise BlockError([Problem(what, "copy the photograph from the camera again")]) from error
+    found = exif_of(path)
     packet = _packet(head)
-    width, height = (_whole(tags, f"EXIF ExifImage{side}") for side in ("Width", "Length"))
-    f35 = _first(tags, "EXIF FocalLengthIn35mmFilm")
-    f = f35 / DIAGONAL_35 * float(np.hypot(width, height)) if width and height and f35 > 0 else np.nan
-    position = _position(tags, packet)
+    width, height = found.size or (None, None)
+    f = found.focal_35 / DIAGONAL_35 * float(np.hypot(width, height)) if width and height and found.focal_35 else np.nan
+    position = _position(found.station, packet)
     drawn = (packet["s_latitude"], packet["s_longitude"], packet["s_height"])
     if not all(0 < value < np.inf for value in drawn):
         plan, vertical = packet["s_plan"], packet["s_altitude"]
@@ -107,42 +103,9 @@ def _packet(head: bytes) -> dict[str, float]:
     return found
 
 
-def _ratios(tags: Any, name: str) -> list[float]:
-    """The numbers of one tag."""
-    values = getattr(tags.get(name), "values", None) or []
-    found = []
-    for value in values if isinstance(values, list) else [values]:
-        try:
-            found.append(float(value))
-        except (TypeError, ValueError, ZeroDivisionError):
-            found.append(np.nan)
-    return found
-
-
-def _first(tags: Any, name: str) -> float:
-    return next(iter(_ratios(tags, name)), np.nan)
-
-
-def _whole(tags: Any, name: str) -> int | None:
-    value = _first(tags, name)
-    return int(value) if 1 <= value < 1e8 else None
-
-
-def _degrees(tags: Any, name: str, negative: str) -> float:
-    parts = _ratios(tags, name)
-    if len(parts) != 3:
-        return np.nan
-    value = parts[0] + parts[1] / 60 + parts[2] / 3600
-    return -value if str(tags.get(f"{name}Ref", "")).strip().upper().startswith(negative) else value
-
-
-def _position(tags: Any, packet: dict[str, float]) -> tuple[float, float, float]:
-    latitude, longitude = _degrees(tags, "GPS GPSLatitude", "S"), _degrees(tags, "GPS GPSLongitude", "W")
-    if np.isfinite(packet["latitude"]) and np.isfinite(packet["longitude"]) and not np.isfinite(latitude):
-        latitude, longitude = packet["latitude"], packet["longitude"]
-    altitude = _first(tags, "GPS GPSAltitude")
-    below = _first(tags, "GPS GPSAltitudeRef") == 1
-    altitude = -altitude if below else altitude
+def _position(station: Station | None, packet: dict[str, float]) -> tuple[float, float, float]:
+    """Longitude, latitude and altitude of EXIF, or of the packet where EXIF has none."""
+    latitude, longitude, altitude = station or (packet["latitude"], packet["longitude"], np.nan)
     altitude = altitude if np.isfinite(altitude) else packet["altitude"]
     if latitude == 0 and longitude == 0 or not (abs(latitude) <= 90 and abs(longitude) <= 180):
         return np.nan, np.nan, np.nan
@@ -152,7 +115,7 @@ def _position(tags: Any, packet: dict[str, float]) -> tuple[float, float, float]
 def positions_of_photographs(folder: Path) -> Positions:
     """Reads the positions of all photographs in a folder, as stations in longitude and latitude.
 
-    Raises: BlockError where the folder has no photographs with positions, or exifread is not installed.
+    Raises: BlockError where the folder has no photographs with positions, or Pillow is not installed.
     """
     files = [file for file in sorted(folder.iterdir()) if file.suffix.lower() in SUFFIXES]
     found = [read_photograph(file) for file in files]

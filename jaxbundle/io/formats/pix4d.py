@@ -20,9 +20,10 @@ from jaxtyping import Float
 from jaxbundle.block.problems import BlockError, Problem
 from jaxbundle.camera.forward import METASHAPE
 from jaxbundle.io.formats import rotations
-from jaxbundle.io.formats.bingo import END, read_image_dat
 from jaxbundle.io.formats.collected import IN_PX, Collected
 from jaxbundle.io.formats.foreign_block import DEFAULT, ForeignBlock, ForeignCamera, ReadOptions
+from jaxbundle.io.formats.orima import read_orima_rows
+from jaxbundle.io.formats.photo_rows import read_photo_rows
 from jaxbundle.io.formats.source import AGAIN, lines_of, numbers
 from jaxbundle.io.noted import Noted
 
@@ -157,7 +158,7 @@ def _measurements(
     pixels = next(iter(sorted(path.glob("*_tp_pix4d.txt"))), None)
     if pixels is not None:
         own = Collected()
-        read_image_dat(pixels, own, noted)
+        read_photo_rows(pixels, own, noted)
         for image, point, x, y in _named(own):
             found.ray(stems.get(Path(image).stem, image), point, x, y)
         return
@@ -165,10 +166,10 @@ def _measurements(
     bingo, orima = (next(iter(sorted(path.glob(f"*_{form}.txt"))), None) for form in ("bingo", "orima"))
     if bingo is not None:
         sizes = _heads(bingo)
-        read_image_dat(bingo, own, noted)
+        read_photo_rows(bingo, own, noted)
     elif orima is not None:
         sizes = {}
-        read_orima(orima, own, noted)
+        read_orima_rows(orima, own, noted)
     else:
         what = f"{path.name} has no image measurements"
         raise BlockError([Problem(what, "export tie points: *_tp_pix4d.txt, *_bingo.txt or *_orima.txt")])
@@ -209,16 +210,3 @@ def _in_pixels(found: Collected, own: Collected, known: tuple) -> None:
         area = calibration.width * calibration.height
         per_mm = 1 / pixel if size is None else math.sqrt(area / (size[0] * size[1]))
         found.ray(name, point, calibration.width / 2 + x * per_mm, calibration.height / 2 - y * per_mm)
-
-
-def read_orima(path: Path, found: Collected, noted: Noted) -> None:
-    """Rows image, point, x, y, flag, M: image coordinates in mm from the image centre, y up."""
-    for line, text in enumerate(lines_of(path), 1):
-        fields = text.split()
-        if not fields or fields[0] == END:
-            continue
-        values = numbers(path, line, fields[2:4], noted) if len(fields) >= 4 else None
-        if len(fields) < 4:
-            noted.add(path.name, line, f"the row has {len(fields)} fields, not image point x y flag M", AGAIN)
-        if values is not None:
-            found.ray(fields[0], fields[1], values[0], values[1])

@@ -11,6 +11,7 @@ from jaxbundle.block.observation_kinds import CONTROL
 from jaxbundle.numerics.host import on_host
 from jaxbundle.solve.adjustment import Adjustment
 from jaxbundle.statistics.covariance import error_ellipses
+from jaxbundle.statistics.reliability_tables import reliability
 
 SHARE = 0.03  # share of the extent of the block: length of the median residual vector and ellipse in a drawing
 
@@ -37,6 +38,10 @@ class Features(NamedTuple):
     points: Float[np.ndarray, "point 3"]
     sigmas: Float[np.ndarray, "point 3"] | None
     rays: Int[np.ndarray, " point"]
+    role: Int[np.ndarray, " point"]
+    """0 tie, 1 control, 2 check point."""
+    largest: Float[np.ndarray, " point"] | None
+    """The largest |w| / sigma0 of the rays, of |v| / (sigma0 sigma) where there is no w; None without an adjustment."""
     centres: Float[np.ndarray, "image 3"]
     angles: Float[np.ndarray, "image 3"]
     """In radians, in the rotation system of the block."""
@@ -79,11 +84,32 @@ def features_of(result: Block | Adjustment) -> Features:
         points,
         sigmas,
         np.bincount(s.ray_point, minlength=len(points)),
+        _roles(block),
+        _largest(result) if isinstance(result, Adjustment) else None,
         on_host(block.exterior.projection_centre),
         on_host(block.exterior.angles),
         _vectors(block, points),
         ellipses,
     )
+
+
+def _roles(block: Block) -> Int[np.ndarray, " point"]:
+    s = block.structure
+    role = np.where(s.point_free.all(1), 0, 1)
+    for group in block.groups:
+        if group.structure.kind == CONTROL:
+            role[group.structure.indices[:, 0]] = 1
+    role[s.check_point] = 2
+    return role
+
+
+def _largest(result: Adjustment) -> Float[np.ndarray, " point"]:
+    s, largest = result.block.structure, np.zeros(len(result.block.structure.point_names))
+    numbers = result.weighted_residuals[0] if result.redundancy_numbers is None else reliability(result).w[0]
+    with np.errstate(all="ignore"):
+        size = np.nan_to_num(np.abs(on_host(numbers)) / float(result.sigma0), nan=0.0, posinf=0.0)
+    np.maximum.at(largest, s.ray_point, size.max(1, initial=0.0))
+    return largest
 
 
 def _vectors(block: Block, points: Float[np.ndarray, "point 3"]) -> Vectors:

@@ -1,12 +1,12 @@
-"""The host's plan of an elimination, numpy only: made once per structure of a block, before anything is traced.
+"""The plan of an elimination, on the host in numpy: made once per structure of a block, before tracing.
 
-layout             static sizes, and where an unknown stands in the border
-incidence          who sees what: border points, own cameras, images joined by an observation
+layout             static sizes, and positions of unknowns in the border
+incidence          visibility: border points, cameras of single images, images connected by an observation
 elimination_order  image pairs that share a point; the order in which the images are eliminated
 tiling             points with short tracks as tiles of image slots by points
 long_tiling        points on more images than a chunk has slots
-pair_lists         which block of an image pair belongs to every pair of slots
-panel_lists        symbolic factorisation: which tiles of the reduced matrix fill, and which products make them
-reduced_plan       how the reduced equations are solved: dense, in panels, or by conjugate gradients
+pair_lists         block of an image pair for each pair of slots
+panel_lists        symbolic factorisation: non-zero tiles of the reduced matrix, and the products that change them
+reduced_plan       solver of the reduced equations: dense, in panels, or by conjugate gradients
 elimination_plan   all of it together
 """

@@ -1,13 +1,13 @@
-"""Which images share a point, and in which order their unknowns are eliminated.
+"""Pairs of images with common points, and the elimination order of their unknowns.
 
-The reduced matrix has a block for every pair of images that share a point. Reverse Cuthill-McKee numbers the images
-along the block, so that these pairs lie in a band. For two devices the band is burnt at both ends:
+The reduced matrix has a block for each pair of images with common points. Reverse Cuthill-McKee numbers the images
+along the block, so that these pairs are in a band. With two devices the band is eliminated from both ends:
 
     rank     0 ..... l-1   l ......... l+r-1   l+r ..... images-1
     part     left end ->   right end, reversed ->   separator
              first device  second device            both
 
-No image of the left end shares a point with one of the right end; the separator is what remains between them.
+No image of the left end shares a point with one of the right end; the separator is the part between them.
 """
 
 from typing import NamedTuple
@@ -17,12 +17,12 @@ import scipy.sparse as sp
 from jaxtyping import Int
 from scipy.sparse.csgraph import reverse_cuthill_mckee
 
-SEPARATOR_WEIGHT = 1.5  # its columns are the fullest, and no device is spared them
-WORTHWHILE = 0.85  # of the time on one device; the sum over the devices costs some
+SEPARATOR_WEIGHT = 1.5  # its columns have the most non-zeros, and both devices process them
+WORTHWHILE = 0.85  # share of the time on one device; the sum over the devices needs some
 
 
 class Order(NamedTuple):
-    """Rank of every image, and how many images the left end, the right end and the separator have."""
+    """Rank of each image, and numbers of images of the left end, the right end and the separator."""
 
     rank: Int[np.ndarray, " image"]
     sizes: tuple[int, int, int]
@@ -35,10 +35,10 @@ def image_graph(
     points: int,
     extra: Int[np.ndarray, "extra 2"] | None = None,
 ) -> Int[np.ndarray, "pair 2"]:
-    """All pairs (i, j), i >= j, of images that share a point; every image with itself; `extra` pairs added.
+    """All pairs (i, j), i >= j, of images with common points, each image with itself, and `extra` pairs.
 
-    Many points have the same track, so only the different tracks are multiplied out. A track is known by the sum of
-    random 62-bit numbers of its images: two tracks of a million agree by chance once in four million blocks.
+    Many points have equal tracks, so only different tracks are expanded. A track is identified by the sum of random
+    62-bit numbers of its images: of a million tracks, two agree by chance in one of four million blocks.
     """
     if np.any(ray_point[1:] < ray_point[:-1]):
         order = np.argsort(ray_point, kind="stable")
@@ -46,7 +46,7 @@ def image_graph(
     length = np.bincount(ray_point, minlength=points)
     start = np.concatenate([[0], np.cumsum(length)])
     mark = np.random.default_rng(0).integers(0, 2**62, images, dtype=np.int64)[ray_image]
-    mark = np.concatenate([[0], np.cumsum(mark)])  # wraps around, which does no harm
+    mark = np.concatenate([[0], np.cumsum(mark)])  # overflow is harmless here
     first = np.unique(mark[start[1:]] - mark[start[:-1]], return_index=True)[1]
     length = length[first]
     end = np.cumsum(length)
@@ -69,12 +69,12 @@ def _unique_pairs(pairs: Int[np.ndarray, "all 2"], images: int) -> Int[np.ndarra
 
 
 def ranked_pairs(pairs: Int[np.ndarray, "pair 2"], rank: Int[np.ndarray, " image"]) -> Int[np.ndarray, "pair 2"]:
-    """The pairs (i, j), i >= j, in ranks, sorted: the order of the blocks."""
+    """The pairs (i, j), i >= j, as ranks, sorted in the order of the blocks."""
     return _unique_pairs(np.sort(rank[pairs], 1)[:, ::-1], len(rank))
 
 
 def elimination_order(pairs: Int[np.ndarray, "pair 2"], images: int, q: int, devices: int) -> Order:
-    """The order of elimination for panels of `q` images; two ends where there are two devices and it pays."""
+    """The order of elimination for panels of `q` images; two ends with two devices, if it is faster."""
     i, j = pairs.T
     graph = sp.csr_matrix((np.ones(2 * len(i), np.int8), (np.r_[i, j], np.r_[j, i])), (images, images))
     order = np.asarray(reverse_cuthill_mckee(graph, symmetric_mode=True), np.int64)
@@ -90,7 +90,7 @@ def elimination_order(pairs: Int[np.ndarray, "pair 2"], images: int, q: int, dev
 def _two_ends(
     order: Int[np.ndarray, " image"], pairs: Int[np.ndarray, "pair 2"], q: int
 ) -> tuple[Int[np.ndarray, " image"], tuple[int, int, int]]:
-    """The band cut at the best place: images before `cut` share points with images before `end` only."""
+    """Cuts the band at the best position: images before `cut` share points only with images before `end`."""
     images = len(order)
     reach = np.arange(images)
     np.maximum.at(reach, pairs[:, 0], pairs[:, 1])

@@ -1,4 +1,4 @@
-"""The plan of one block: images in the order of elimination, points in tiles, points that stand in the border."""
+"""The plan of one block: elimination order of images, points in tiles, points in the border."""
 
 from dataclasses import dataclass
 from functools import cached_property
@@ -19,9 +19,9 @@ from jaxbundle.numerics.shapes import grid_size
 
 
 class Order(NamedTuple):
-    """Position of every image, camera and point in the order of elimination, and the padded numbers of positions.
+    """Positions of images, cameras and points in elimination order, and padded numbers of positions.
 
-    Parameters stay in the block's order; `parameters` is their number without padding.
+    Parameters are in the block's order; `parameters` is their number without padding.
     """
 
     image: Int[np.ndarray, " image"]
@@ -38,14 +38,14 @@ class Part(NamedTuple):
 
     tiling: Tiling
     rays: Int[np.ndarray, " ray"]
-    """Rays of the block, as the tiling numbers them."""
+    """Rays of the block, in the numbering of the tiling."""
     pairs: ClassPairs | GroupPairs | None
-    """Which block belongs to a pair of slots; None where the reduced matrix is not formed."""
+    """Blocks of pairs of slots; None if the reduced matrix is not formed."""
 
 
 @dataclass(frozen=True, eq=False)
 class EliminationPlan:
-    """The plan of one block, host data. The last image is a dummy; border points stand behind those of the tiles."""
+    """The plan of one block, host data. The last image is a dummy; border points follow those of the tiles."""
 
     order: Order
     layout: Layout
@@ -55,7 +55,7 @@ class EliminationPlan:
     diagonal_pair: Int[np.ndarray, " image"]
     """Block of each image with itself."""
     group_pairs: tuple[Int[np.ndarray, " member"] | None, ...]
-    """Block of the two images that a member touches; None for a group that never touches two."""
+    """Block of the two images that a member touches; None for groups that touch only one."""
     reduced: ReducedPlan
     devices: int
 
@@ -66,7 +66,7 @@ class EliminationPlan:
 
     @cached_property
     def cell_of_ray(self) -> Int[np.ndarray, " ray"]:
-        """Position of every ray of the block among the cells of all parts, with the rays of border points behind."""
+        """Position of each ray of the block among the cells of all parts, followed by the rays of border points."""
         position = np.full(sum(len(part.rays) for part in self.parts) + len(self.border_rays), -1)
         first = 0
         for part in self.parts:
@@ -75,22 +75,22 @@ class EliminationPlan:
             position[part.rays[grid[cell]]] = first + cell
             first += grid.size
         position[self.border_rays] = first + np.arange(len(self.border_rays))
-        assert (position >= 0).all(), "a ray has no cell of its own"
+        assert (position >= 0).all(), "a ray has no separate cell"
         return position
 
     @property
     def border_points(self) -> Int[np.ndarray, " border_point"]:
-        """Points of the block that stand in the border, in its order."""
+        """Points of the block in the border, in its order."""
         return np.flatnonzero(self.order.point >= self.tile_points)
 
     @property
     def method(self) -> Method:
-        """How the reduced equations are solved."""
+        """Solver of the reduced normal equations."""
         return self.reduced.method
 
 
 class _Tracks(NamedTuple):
-    """Rays of the points that are eliminated, sorted by point; points are numbered without those of the border."""
+    """Rays of the eliminated points, sorted by point; numbers of points are without the border."""
 
     rays: Int[np.ndarray, " ray"]
     point: Int[np.ndarray, " ray"]
@@ -99,7 +99,7 @@ class _Tracks(NamedTuple):
 
 
 class _Wanted(NamedTuple):
-    """Devices, how the reduced equations are solved, and whether their matrix must be factorised."""
+    """Devices, solver of the reduced equations, and whether their matrix must be factorised."""
 
     devices: int
     solver: Method
@@ -118,11 +118,11 @@ def plan_elimination(
     """Plans the elimination of a block.
 
     Args:
-        structure, groups: the block's; of the groups only what is observed, not the values.
-        centres: approximate projection centres (image, 3), which help to sort the points; None if they are not known.
+        structure, groups: of the block; only indices and masks of the groups are used, not values.
+        centres: approximate projection centres (image, 3), which are used to sort the points; None if unknown.
         devices: JAX devices that share the tiles.
-        solver: how the reduced equations are solved.
-        direct: the reduced matrix must be factorised, because its inverse is wanted.
+        solver: solver of the reduced normal equations.
+        direct: whether the reduced matrix must be factorised, because its inverse is needed.
 
     Raises:
         ValueError: for conjugate gradients with observations that touch two images.
@@ -170,7 +170,7 @@ def plan_elimination(
 
 
 def _tracks(structure: Structure, in_border: np.ndarray) -> tuple[_Tracks, Int[np.ndarray, " border_ray"]]:
-    """The rays of the points that are eliminated, and the numbers of all other rays."""
+    """The rays of the eliminated points, and the indices of all other rays."""
     of_border = in_border[structure.ray_point]
     rays = np.nonzero(~of_border)[0]
     if np.any(np.diff(structure.ray_point[rays]) < 0):
@@ -181,7 +181,7 @@ def _tracks(structure: Structure, in_border: np.ndarray) -> tuple[_Tracks, Int[n
 
 
 def _reduced(tracks: _Tracks, images: int, d: int, touching: list[np.ndarray | None], wanted: _Wanted) -> ReducedPlan:
-    """The plan of the reduced equations; `touching`: pairs of images that groups of observations join."""
+    """The plan of the reduced equations; `touching`: pairs of images connected by groups of observations."""
     extra = [pairs for pairs in touching if pairs is not None]
     joined = np.concatenate(extra) if extra else None
     graph = elimination_order.image_graph(tracks.image, tracks.point, images, tracks.points, joined)
@@ -189,14 +189,14 @@ def _reduced(tracks: _Tracks, images: int, d: int, touching: list[np.ndarray | N
     if solver == "auto" and not direct and not extra and too_large(graph, images, d):
         solver = "pcg"
     if solver == "pcg" and extra:
-        raise ValueError("conjugate gradients do not take observations that touch two images; take another solver")
+        raise ValueError("conjugate gradients do not support observations that touch two images; use another solver")
     return reduced_plan(graph, images, d, devices, solver)
 
 
 def _parts(
     tracks: _Tracks, views: Views, reduced: ReducedPlan, devices: int, width: int
 ) -> tuple[tuple[Part, ...], Int[np.ndarray, " point"]]:
-    """Points with short tracks and those with long ones, as far as there are any; the position of every point."""
+    """Points with short tracks and with long ones, if any; the position of each point."""
     long = np.bincount(tracks.point, minlength=tracks.points) > SLOTS
     parts, tile, first = [], np.empty((tracks.points, 3), np.int64), 0
     for chosen, plan, list_pairs in ((~long, tiling, class_pairs), (long, long_tiling, group_pairs)):

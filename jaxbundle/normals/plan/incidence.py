@@ -1,4 +1,4 @@
-"""What the plan reads off who sees what: points of the border, images joined by an observation, what fills a slot."""
+"""Incidence of the observations: points of the border, images connected by an observation, views in slots."""
 
 from typing import NamedTuple
 
@@ -9,13 +9,13 @@ from jaxbundle.block.block import Structure
 from jaxbundle.block.observation_kinds import ObservationGroup
 from jaxbundle.normals.plan.tiling import SLOTS
 
-BORDER_SHARE = 0.1  # of the images' unknowns: so much of a border costs less than the matrix it keeps sparse
+BORDER_SHARE = 0.1  # share of the images' unknowns: a border of this size costs less than the fill-in that it prevents
 
 
 class Views(NamedTuple):
-    """What fills a slot of a tile: an image, and once more for a point that was measured on it again.
+    """Views, which fill the slots of a tile: an image, and another view for repeated measurements of a point.
 
-    `of_ray`: view of each ray; views are numbered by the rank of their image. `rank`, `centre`: of their image.
+    `of_ray`: view of each ray; views are numbered by the rank of their image. `rank`, `centre`: of the image.
     """
 
     of_ray: Int[np.ndarray, " ray"]
@@ -24,10 +24,10 @@ class Views(NamedTuple):
 
 
 def border_points(structure: Structure, groups: tuple[ObservationGroup, ...]) -> Bool[np.ndarray, " point"]:
-    """Points that cannot be eliminated one by one, since they share an observation, or better are not.
+    """Mask of points that are not eliminated: they share an observation, or elimination would be slower.
 
-    The second are points without rays, and a few points on very many images, which would fill the reduced matrix. Tiles
-    of points with long tracks multiply pairs of slots in one order only, which two slots of one image do not allow.
+    Slower are points without rays, and a few points on very many images, which would fill the reduced matrix. Tiles of
+    points with long tracks multiply pairs of slots in one order only, so an image must not have two slots.
     """
     count = np.bincount(structure.ray_point, minlength=len(structure.point_names))
     in_border, long = count == 0, count > SLOTS
@@ -45,13 +45,13 @@ def border_points(structure: Structure, groups: tuple[ObservationGroup, ...]) ->
 
 
 def own_cameras(structure: Structure) -> bool:
-    """Whether every image has a camera of its own, whose interior then belongs to the image's block."""
+    """Whether each image has a separate camera, whose interior elements then belong to the image's block."""
     used = np.bincount(structure.image_camera, minlength=len(structure.cameras))
     return bool(structure.interior_columns) and bool((used == 1).all())
 
 
 def group_image_pairs(structure: Structure, group: ObservationGroup, own: bool) -> Int[np.ndarray, "member 2"] | None:
-    """The two images each member touches, None where it never touches two."""
+    """The two touched images of each member, None if members touch only one."""
     camera_image = np.zeros(len(structure.cameras), int)
     camera_image[structure.image_camera] = np.arange(len(structure.image_camera))
     columns = []

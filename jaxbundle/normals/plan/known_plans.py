@@ -1,7 +1,7 @@
-"""Plans that are found again: a structure is planned once, however often its block is adjusted.
+"""Cache of plans: a structure is planned once, even if its block is adjusted repeatedly.
 
-A plan depends on a structure, on who its groups touch, on the devices and on the way to solve the reduced equations.
-Approximate projection centres are only a hint for the order of the points, so a plan serves other values as well.
+A plan depends on a structure, on the indices of its groups, on the devices and on the solver of the reduced equations.
+Approximate projection centres only affect the order of the points, so a plan is valid for other values as well.
 """
 
 from typing import NamedTuple
@@ -15,11 +15,11 @@ from jaxbundle.block.observation_kinds import GroupStructure, ObservationGroup
 from jaxbundle.normals.plan.elimination_plan import EliminationPlan, plan_elimination
 from jaxbundle.normals.plan.reduced_plan import MAX_FACTOR, Method
 
-REMEMBERED = 3  # plans of one structure: for statistics on one device, for a solve on several
+REMEMBERED = 3  # maximum plans of one structure: for statistics on one device, for a solve on several
 
 
 class _Planned(NamedTuple):
-    """A plan and what it was made for."""
+    """A plan and its inputs."""
 
     groups: "tuple[ref[GroupStructure], ...]"
     devices: int
@@ -28,7 +28,7 @@ class _Planned(NamedTuple):
     plan: EliminationPlan
 
     def serves(self, groups: tuple[ObservationGroup, ...], devices: int, solver: Method, direct: bool) -> bool:
-        """Whether the plan would be the same, but for the order of the points."""
+        """Whether the plan would be equal, except for the order of the points."""
         if (self.devices, self.solver) != (devices, solver) or len(self.groups) != len(groups):
             return False
         if any(known() is not group.structure for known, group in zip(self.groups, groups, strict=True)):
@@ -38,7 +38,7 @@ class _Planned(NamedTuple):
         return self.plan.method != "pcg" if direct else _is_small(self.plan)
 
 
-# a plan holds no structure, so that it goes with the last block that has it
+# a plan does not reference the structure, so that it is deleted with the last block that has it
 _PLANS: "WeakKeyDictionary[Structure, list[_Planned]]" = WeakKeyDictionary()
 
 
@@ -51,7 +51,7 @@ def planned(
     *,
     direct: bool = True,
 ) -> EliminationPlan:
-    """The plan of the elimination as by `plan_elimination`, made before if it was."""
+    """The plan of `plan_elimination`, from the cache if possible."""
     known = _PLANS.setdefault(structure, [])
     for k, entry in enumerate(known):
         if entry.serves(groups, devices, solver, direct):
@@ -64,6 +64,6 @@ def planned(
 
 
 def _is_small(plan: EliminationPlan) -> bool:
-    """Whether the reduced matrix is factorised even where nothing asks for its inverse, by its size without zeros."""
+    """Whether the reduced matrix is factorised even if its inverse is not needed, by its number of non-zeros."""
     rows = float(len(plan.order.image) * plan.layout.image)
     return 4 * rows * (rows + plan.layout.image) <= MAX_FACTOR

@@ -1,6 +1,6 @@
-"""Static sizes of the normal equations, and where an unknown stands in the border.
+"""Static sizes of the normal equations, and positions of unknowns in the border.
 
-image's block    X0 Y0 Z0, three angles, then the interior elements of a camera that only this image has
+image's block    X0 Y0 Z0, three angles, then the interior elements of a camera with only this image
 border           interior elements of shared cameras | parameters | border points, 3 coordinates each
 """
 
@@ -8,47 +8,47 @@ from typing import Any, NamedTuple
 
 import numpy as np
 
-EXTERIOR = 6  # X0, Y0, Z0 and three angles
+EXTERIOR = 6  # number of exterior elements: X0, Y0, Z0 and three angles
 
 
 class Layout(NamedTuple):
-    """Sizes that are static in a program; numbers of images, points and rays are padded and stand in the arrays."""
+    """Static sizes of a program; numbers of images, points and rays are padded and follow from the arrays."""
 
     image: int
-    """Unknowns of an image."""
+    """Number of unknowns of an image."""
     shared: int
-    """Estimated interior elements of a shared camera, 0 where every image has its own."""
+    """Number of estimated interior elements of a shared camera, 0 if each image has its own."""
     cameras: int
-    """Shared cameras."""
+    """Number of shared cameras."""
     parameters: int
     """Parameters, padded."""
     points: int
-    """Border points, padded: those that are not eliminated."""
+    """Padded number of border points, which are not eliminated."""
     pairs: int
-    """Blocks of image pairs, padded; the last one takes what belongs nowhere."""
+    """Padded number of blocks of image pairs; the last one is a dummy."""
     implicit: bool
-    """The reduced matrix is not formed: its pairs are the images with themselves."""
+    """Whether the reduced matrix is not formed: then its pairs are only the diagonal blocks."""
     width: int
     """Points per tile."""
 
     @property
     def own_cameras(self) -> bool:
-        """Whether the interior elements stand in the images' blocks."""
+        """Whether the interior elements are in the images' blocks."""
         return self.image > EXTERIOR
 
     @property
     def first_parameter(self) -> int:
-        """Border rows before the parameters."""
+        """Number of border rows before the parameters."""
         return self.shared * self.cameras
 
     @property
     def first_point(self) -> int:
-        """Border rows before the border points."""
+        """Number of border rows before the border points."""
         return self.first_parameter + self.parameters
 
     @property
     def border(self) -> int:
-        """Border rows."""
+        """Total number of border rows."""
         return self.first_point + 3 * self.points
 
     def camera_rows(self, camera: Any) -> Any:
@@ -56,5 +56,5 @@ class Layout(NamedTuple):
         return self.shared * camera[..., None] + np.arange(self.shared)
 
     def point_rows(self, point: Any) -> Any:
-        """Border rows of border points, counted from the first of them: (..., 3)."""
+        """Border rows of border points, with indices relative to the first of them: (..., 3)."""
         return self.first_point + 3 * point[..., None] + np.arange(3)

@@ -1,7 +1,7 @@
-"""Which block of an image pair belongs to every pair of slots of a tile: the lists that the products of E run down.
+"""Lists of the blocks of image pairs for all pairs of slots of a tile, for the products of E.
 
-Tiles of a few slots are multiplied in one piece, with a loop for each size; those of long tracks in groups of slots
-against groups of slots, below the diagonal only, so that no temporary is larger than a pair of groups.
+Tiles of a few slots are multiplied in one piece, with a loop for each size; tiles of long tracks by pairs of groups
+of slots, only below the diagonal, so that temporary arrays are limited to a pair of groups.
 """
 
 from collections.abc import Callable
@@ -13,7 +13,7 @@ from jaxtyping import Int
 from jaxbundle.normals.plan.tiling import CLASSES, SLOTS, Tiling
 from jaxbundle.numerics.shapes import grid_size
 
-DENSE_TABLE = 4096  # images; beyond, pairs are looked up by bisection
+DENSE_TABLE = 4096  # number of images above which pairs are looked up by bisection
 
 Finder = Callable[[Any, Any], Any]
 
@@ -24,16 +24,16 @@ class ClassPairs(NamedTuple):
     tile_class: Int[Any, "*device chunk"]
     """Index into CLASSES."""
     pair_offset: Int[Any, "*device chunk"]
-    """Where the pairs of a chunk begin."""
+    """Start of the pairs of a chunk."""
     pair: Int[Any, " entry"]
-    """Block of each pair of slots; the last block where two images share no point. Common to all devices."""
+    """Block of each pair of slots; the last block for two images without common points. Common to all devices."""
 
 
 class GroupPairs(NamedTuple):
     """Chunks of tiles of any size, multiplied by groups of slots."""
 
     first: Int[Any, "*device chunk"]
-    """Where the products of a chunk begin."""
+    """Start of the products of a chunk."""
     count: Int[Any, "*device chunk"]
     """Number of products of a chunk."""
     row: Int[Any, "*device product"]
@@ -41,13 +41,13 @@ class GroupPairs(NamedTuple):
     column: Int[Any, "*device product"]
     """First slot of the right group."""
     pairs: Int[Any, "*device product"]
-    """Where the blocks of a product begin in `pair`; tiles of the same images share them."""
+    """Start of the blocks of a product in `pair`; tiles with the same images share them."""
     pair: Int[Any, " entry"]
-    """Block of each pair of slots; the last block where two images share no point. Common to all devices."""
+    """Block of each pair of slots; the last block for two images without common points. Common to all devices."""
 
 
 def pair_finder(pairs: Int[np.ndarray, "pair 2"], images: int, waste: int) -> Finder:
-    """Function from two ranks to the block of their pair; `waste` where i < j or where they share no point."""
+    """Function from two ranks to the block of their pair; `waste` for i < j or without common points."""
     if images <= DENSE_TABLE:
         table = np.full((images, images), waste, np.int32)
         table[pairs[:, 0], pairs[:, 1]] = np.arange(len(pairs))
@@ -63,7 +63,7 @@ def pair_finder(pairs: Int[np.ndarray, "pair 2"], images: int, waste: int) -> Fi
 
 
 def class_pairs(plan: Tiling, find: Finder, waste: int) -> ClassPairs:
-    """The block of every pair of slots of every tile, chunk after chunk of a class."""
+    """The blocks of all pairs of slots of all tiles, chunk after chunk of a class."""
     shape = plan.slot_image.shape[:2]
     size = np.zeros(shape, np.int64)
     size[plan.tile_slots[:, 0], plan.tile_slots[:, 1]] = plan.tile_slots[:, 3]
@@ -77,20 +77,20 @@ def class_pairs(plan: Tiling, find: Finder, waste: int) -> ClassPairs:
         offset[g, c] = total + np.arange(len(g)) * SLOTS * slots
         total += len(g) * SLOTS * slots
         lists.append(find(image[:, :, None], image[:, None, :]).ravel())
-    pad = grid_size(total + SLOTS * SLOTS) - total  # a chunk may read on beyond its last tile
+    pad = grid_size(total + SLOTS * SLOTS) - total  # a chunk may read beyond its last tile
     pair = np.concatenate([*lists, np.full(pad, waste)])
     kind = np.where(size > 0, np.searchsorted(CLASSES, size), 0)
     return ClassPairs(*(x.astype(np.int32) for x in (kind, offset, pair)))
 
 
 def group_pairs(plan: Tiling, find: Finder, waste: int) -> GroupPairs:
-    """The products of every tile's groups of slots, chunk after chunk, and the blocks of all different ones."""
+    """The products of the groups of slots of all tiles, chunk after chunk, and the blocks of all different ones."""
     devices, chunks, _ = plan.slot_image.shape
     group, in_order = plan.group, np.lexsort(plan.tile_slots[:, 2::-1].T)
     device, chunk, slot, size = plan.tile_slots[in_order].T
     groups = size // group
     products = groups * (groups + 1) // 2
-    # row by row of the lower triangle: the products of a smaller tile come first
+    # row by row of the lower triangle: the products of a smaller tile are the first ones
     row, column = np.tril_indices(groups.max())
     tile = np.repeat(np.arange(len(products)), products)
     k = np.arange(len(tile)) - np.repeat(np.cumsum(products) - products, products)

@@ -1,17 +1,17 @@
-"""Symbolic factorisation of the reduced matrix: which tiles fill, and which products make them.
+"""Symbolic factorisation of the reduced matrix: non-zero tiles, and the products that change them.
 
 `q` images in elimination order are a panel, two panels (I, J) a tile of b x b numbers, b = q d. Eliminating panel J
-with the panels R_J below it in its column changes every tile (A, B), A >= B, both in R_J:
+with the panels R_J below it in its column changes each tile (A, B), A >= B, both in R_J:
 
-    L_AB <- L_AB - L_AJ L_BJ^T,    so (A, B) becomes a tile of the pattern if it was none.
+    L_AB <- L_AB - L_AJ L_BJ^T,    so (A, B) becomes a tile of the pattern.
 
-The tiles and products of each column are listed here once per structure, the device only runs down the lists. With two
-devices each has the columns of one end of the band and the separator, and its own numbers of panels and tiles:
+The tiles and products of each column are listed here once per structure, the device only processes the lists. With two
+devices each has the columns of one end of the band and the separator, with separate numbering of panels and tiles:
 
     panels   end's columns, padding | separator's columns, padding
     tiles    end: diagonal tiles, tiles below, padding | separator: the same
 
-All lists are padded to lengths on a geometric grid, so that a block of similar size runs in the same program.
+All lists are padded to lengths on a geometric grid, so that blocks of similar size use the same program.
 """
 
 from typing import Any, NamedTuple
@@ -24,33 +24,33 @@ from jaxbundle.numerics.shapes import grid_size
 
 
 class PanelColumns(NamedTuple):
-    """Panels that are eliminated one after the other; numpy arrays in the plan, JAX arrays in a program."""
+    """Lists of panels that are eliminated one after the other; numpy arrays in the plan, JAX arrays in a program."""
 
     count: Int[Any, " part"]
     """Number of panels."""
     first_below: Int[Any, "part offset"]
-    """Where the tiles below each panel begin in `below`."""
+    """Start of the tiles below each panel in `below`."""
     below: Int[Any, "part below 2"]
     """Tile, and panel of its row."""
     first_update: Int[Any, "part offset"]
-    """Where the updates of each panel begin in `update`."""
+    """Start of the updates of each panel in `update`."""
     update: Int[Any, "part update 3"]
     """Tiles (A, J), (B, J), (A, B); those of diagonal tiles, A = B, come first, one for each tile below."""
     block: Int[Any, "part tile q q"]
-    """Block of the image pair at each position of each tile; the last block (0) where there is none."""
+    """Block of the image pair at each position of each tile; the last block (0) without one."""
 
 
 class PanelLists(NamedTuple):
-    """The lists of each device; all devices beyond the second have those of the third."""
+    """The lists of each device; all devices after the second have those of the third."""
 
     ends: PanelColumns | None
-    """One end of the band."""
+    """Lists of one end of the band."""
     separator: PanelColumns
-    """What both ends share."""
+    """Lists of the separator, shared by both ends."""
     position: Int[Any, "part image"]
-    """Panel times q plus the position in it of an image; beyond the end where another device has it."""
+    """Panel times q plus the position of an image in the panel; outside the range for images of another device."""
     pair_place: Int[Any, "part pair 3"]
-    """Tile, row and column of a pair's block; beyond the end where another device has it, or where there is none."""
+    """Tile, row and column of a pair's block; outside the range for blocks of another device, or without one."""
 
 
 class _Lists(NamedTuple):
@@ -64,12 +64,12 @@ class _Lists(NamedTuple):
 
 
 def tile_grid(count: int) -> int:
-    """Padded number of tiles."""
+    """The padded number of tiles."""
     return grid_size(count, 4, 1.25)
 
 
 def list_grid(count: int) -> int:
-    """Padded length of a list, which costs next to nothing."""
+    """Padded length of a list, at negligible cost."""
     return grid_size(count, 8, 4.0)
 
 
@@ -85,7 +85,7 @@ def fill(panels: Int[np.ndarray, "pair 2"], count: int) -> Bool[np.ndarray, "pan
 
 
 def _panels(order: Order, q: int) -> tuple[np.ndarray, np.ndarray, list[np.ndarray]]:
-    """Panel of every rank and its place there, and the panels of the parts; no panel straddles two parts."""
+    """Panel of each rank and its position there, and the panels of the parts; no panel belongs to two parts."""
     panel, place, parts, first = [], [], [], 0
     for size in order.sizes:
         k = np.arange(size)
@@ -97,7 +97,7 @@ def _panels(order: Order, q: int) -> tuple[np.ndarray, np.ndarray, list[np.ndarr
 
 
 def _number(tiles: np.ndarray, columns: np.ndarray, first: int, number: np.ndarray) -> int:
-    """Numbers the tiles of `columns` from `first` on, the diagonal ones first; how many there are."""
+    """Numbers the tiles of `columns` from `first`, the diagonal ones first, and returns their number."""
     number[columns, columns] = first + np.arange(len(columns))
     row, column = np.nonzero(np.tril(tiles[:, columns], -columns[0] - 1 if len(columns) else 0))
     by_column = np.lexsort((row, column))
@@ -106,7 +106,7 @@ def _number(tiles: np.ndarray, columns: np.ndarray, first: int, number: np.ndarr
 
 
 def _lists(tiles: np.ndarray, columns: np.ndarray, number: np.ndarray, panel_number: np.ndarray) -> _Lists:
-    """What the elimination of `columns` does, in this device's numbers."""
+    """Operations of the elimination of `columns`, in the numbering of this device."""
     below, update, first_below, first_update = [np.zeros((0, 2), int)], [np.zeros((0, 3), int)], [0], [0]
     for j in columns:
         r = np.nonzero(tiles[j + 1 :, j])[0] + j + 1
@@ -119,7 +119,7 @@ def _lists(tiles: np.ndarray, columns: np.ndarray, number: np.ndarray, panel_num
 
 
 def _padded(arrays: list, length: int, value: int = 0) -> Int[np.ndarray, "part length *rest"]:
-    """Arrays of several parts stacked, each filled up with `value` along its first axis."""
+    """Stacks arrays of several parts, each padded with `value` along its first axis."""
     out = [np.full((length, *np.shape(a)[1:]), value, np.int32) for a in arrays]
     for padded, a in zip(out, arrays, strict=True):
         padded[: len(a)] = a
@@ -163,7 +163,7 @@ def symbolic(
         used = _number(tiles, own, 0, number), _number(tiles, parts[2], end_tiles, number)
         panel_number[own], panel_number[parts[2]] = np.arange(len(own)), end_panels + np.arange(len(parts[2]))
         lists.append((_lists(tiles, own, number, panel_number), _lists(tiles, parts[2], number, panel_number)))
-        # the separator's share of the matrix is the first device's; the others add what their end does to it
+        # the first device has the separator's part of the matrix; the others add the updates of their end
         answers = np.isin(of_pair[:, 1], own) | (g == 0) & np.isin(of_pair[:, 1], parts[2])
         tile = np.where(answers, number[of_pair[:, 0], of_pair[:, 1]], tile_count)
         pair_places.append(np.stack([tile, place[pairs[:, 0]], place[pairs[:, 1]]], 1))

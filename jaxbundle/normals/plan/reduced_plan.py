@@ -1,4 +1,4 @@
-"""Host plan of the reduced normal equations: the order of the images, the blocks of image pairs, the way to solve."""
+"""Host plan of the reduced normal equations: order of the images, blocks of image pairs, solver."""
 
 from dataclasses import dataclass
 from functools import cached_property
@@ -13,43 +13,43 @@ from jaxbundle.normals.plan.panel_lists import PanelLists, symbolic
 from jaxbundle.numerics.shapes import grid_size
 
 Method = Literal["auto", "dense", "panels", "pcg"]
-MAX_FACTOR = 4e9  # bytes; a larger one is not formed where nothing asks for its inverse
-DENSE_UNKNOWNS = 160  # measured: up to here one dense matrix is as fast as tiles, and it compiles in half the time
-SMALL_UNKNOWNS, SMALL_ROWS, ROWS = 2500, 72, 144  # measured: 72 rows a tile are faster up to 2500 unknowns, 144 beyond
+MAX_FACTOR = 4e9  # bytes; a larger matrix is not formed if its inverse is not needed
+DENSE_UNKNOWNS = 160  # measured: up to this size one dense matrix is as fast as tiles, and compiles in half the time
+SMALL_UNKNOWNS, SMALL_ROWS, ROWS = 2500, 72, 144  # measured: 72 rows per tile are faster up to 2500 unknowns, 144 above
 
 
 @dataclass(frozen=True)
 class ReducedPlan:
-    """The plan; the last image is a dummy, and the last block takes what belongs nowhere."""
+    """The plan of the reduced equations; the last image and the last block are dummies."""
 
     rank: Int[np.ndarray, " image"]
-    """Position of each image in the order of elimination."""
+    """Position of each image in elimination order."""
     pairs: Int[np.ndarray, "pair 2"]
-    """Ranks (i, j), i >= j, of the blocks in use, sorted."""
+    """Ranks (i, j), i >= j, of the used blocks, sorted."""
     padded_pairs: Int[np.ndarray, "padded 2"]
-    """The same for all blocks; the padded number of images where a block is not in use."""
+    """Ranks of all blocks; the padded number of images for unused blocks."""
     images: int
     """Images, padded."""
     panels: PanelLists | None
-    """Lists of the factorisation in panels; None where the matrix is dense."""
+    """Lists of the factorisation in panels; None for a dense matrix."""
     method: Method
-    """What "auto" came to."""
+    """The selected solver."""
     shared_out: bool
-    """Whether the panels are shared out to several devices."""
+    """Whether the panels are distributed over several devices."""
 
     @cached_property
     def block_of(self) -> Finder:
-        """Function from two ranks, i >= j, to the block of their pair; the last block where they have none."""
+        """Function from two ranks, i >= j, to the block of their pair; the last block without one."""
         return pair_finder(self.pairs, self.images, self.blocks - 1)
 
     @property
     def blocks(self) -> int:
-        """Blocks of image pairs, padded."""
+        """Padded number of blocks of image pairs."""
         return len(self.padded_pairs)
 
 
 def panel_width(images: int, d: int) -> int:
-    """Images per panel: large tiles make fast products, small ones leave more of the pattern empty."""
+    """Number of images per panel: large tiles have fast products, small ones a sparser pattern."""
     rows = SMALL_ROWS if images * d <= SMALL_UNKNOWNS else ROWS
     return 4 * max(1, round(rows / d / 4))
 
@@ -63,14 +63,14 @@ def reduced_plan(
     *,
     q: int | None = None,
 ) -> ReducedPlan:
-    """The plan for `images` images with `d` unknowns each that share points in `pairs`; `q` images per panel.
+    """Makes the plan for `images` images with `d` unknowns each and common points in `pairs`; `q` images per panel.
 
-    "dense" and "panels" factorise the matrix; "pcg" has the diagonal blocks only, as a preconditioner.
+    "dense" and "panels" factorise the matrix; "pcg" has only the diagonal blocks, as a preconditioner.
     """
     q = q or panel_width(images, d)
     if method == "auto":
         method = "dense" if images * d <= DENSE_UNKNOWNS else "panels"
-    devices = devices if method == "panels" else 1  # what is not shared out, every device does
+    devices = devices if method == "panels" else 1  # work that is not distributed is repeated on each device
     order = elimination_order(pairs, images, q, devices)
     pairs = ranked_pairs(pairs, order.rank)
     if method == "pcg":
@@ -83,7 +83,7 @@ def reduced_plan(
 
 
 def too_large(pairs: Int[np.ndarray, "pair 2"], images: int, d: int) -> bool:
-    """Whether the factor is: all blocks from the first one of a row to its diagonal, in a good order."""
+    """Size of the envelope of the factor: all blocks from the first one of a row to its diagonal."""
     ranked = ranked_pairs(pairs, elimination_order(pairs, images, 1, 1).rank)
     first = np.minimum.reduceat(ranked[:, 1], np.searchsorted(ranked[:, 0], np.arange(images)))
     return 8.0 * d * d * float((np.arange(images) - first + 1).sum()) > MAX_FACTOR

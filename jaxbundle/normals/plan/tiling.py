@@ -1,21 +1,21 @@
 """Host plan of the tiles: object points sorted so that neighbours are seen by the same images.
 
 A tile is a dense grid of `width` points by the images that see any of them; a grid cell without ray has weight 0. A
-chunk is a row of tiles of one class (number of images, rounded up) with SLOTS image slots in all, so every chunk has
-the same shape and the element-wise work on it is compiled once, whatever the tracks look like:
+chunk is a row of tiles of one class (number of images, rounded up) with SLOTS image slots in all, so all chunks have
+the same shape and their element-wise operations are compiled once, for any tracks:
 
     chunk    SLOTS x width cells, SLOTS // K tiles of class K
     cell     one ray: image slot s, column j -> ray[chunk, s, j], or -1
 
 Points are sorted along a space-filling curve through the bounding boxes of the projection centres that see them (Morton
 code of the box's four sides): points with equal boxes have nearly equal tracks. Points with long tracks, on more images
-than a chunk has slots, have chunks of their own:
+than a chunk has slots, have separate chunks:
 
     chunk    32 T slots x width cells, T large enough for the widest tile
     tile     g groups of 32 slots; its product E E^T is formed group by group, g (g + 1) / 2 times
 
-There tiles of any size stand behind each other, so that a single point on a thousand images does not make the tiles of
-all others as large, and points are joined to a tile where that makes fewer products than leaving them apart.
+There tiles of different size follow each other, so that a single point on a thousand images does not enlarge the tiles
+of all others. Points are joined to a tile if this needs fewer products than separate tiles.
 """
 
 from dataclasses import dataclass
@@ -27,18 +27,17 @@ from jaxtyping import Bool, Float, Int, UInt64
 from jaxbundle.numerics.shapes import grid_size
 
 SLOTS = 48
-CLASSES = (2, 3, 4, 6, 8, 12, 16, 24, 48)  # divisors of SLOTS
-MAX_TILES = SLOTS // CLASSES[0]  # a chunk's
-CUTS = 4  # places where a tile may be cut in two, at a jump of the curve
+CLASSES = (2, 3, 4, 6, 8, 12, 16, 24, 48)  # classes: divisors of SLOTS
+MAX_TILES = SLOTS // CLASSES[0]  # image slots of a chunk
+CUTS = 4  # number of positions where a tile may be split, at a jump of the curve
 MORTON_BITS = 12
-CELLS_AT_ONCE = 200_000_000  # bounds the memory of the table of tiles and images
+CELLS_AT_ONCE = 200_000_000  # limits the memory of the table of tiles and images
 GROUP = 32  # slots; a product is then large enough to be fast, and its temporaries stay in the cache
 FEWEST_GROUPS = SLOTS // GROUP + 1  # of a point with a long track
 
 
 class Seen(NamedTuple):
-    """Rays sorted by point: their images and points, the number of points, the projection centres; in the order of
-    elimination."""
+    """Rays sorted by point: images, points, number of points, and projection centres, in elimination order."""
 
     image: Int[np.ndarray, " ray"]
     point: Int[np.ndarray, " ray"]
@@ -53,22 +52,22 @@ class Seen(NamedTuple):
 
 @dataclass(frozen=True)
 class Tiling:
-    """Tiles of some points. Every device has the same number of chunks and of tiles, the last of them empty."""
+    """Tiles of some points. All devices have the same numbers of chunks and tiles; the last tile is empty."""
 
     point_tile: Int[np.ndarray, "point 3"]
     """Device, tile and column of each point."""
     tile_slots: Int[np.ndarray, "tile 4"]
     """Device, chunk, first slot and number of slots of each tile."""
     slot_image: Int[np.ndarray, "device chunk slot"]
-    """Rank of the image, or the number of images for an empty slot."""
+    """Rank of the image; the number of images for an empty slot."""
     slot_tile: Int[np.ndarray, "device chunk slot"]
     """Tile within the device."""
     ray: Int[np.ndarray, "device chunk slot width"]
     """Ray of each cell, -1 where there is none."""
     chunks: Int[np.ndarray, " device"]
-    """Number of chunks in use."""
+    """Number of used chunks."""
     tiles: int
-    """Tiles of a device, padded."""
+    """Padded number of tiles of a device."""
     max_tiles: int
     """Maximum number of tiles of a chunk."""
     group: int
@@ -76,12 +75,12 @@ class Tiling:
 
 
 def tile_width(rays: int) -> int:
-    """Points a tile: wide tiles make better matrix products, narrow ones waste fewer cells of a small block."""
+    """Points per tile: wide tiles have faster matrix products, narrow ones waste fewer cells in a small block."""
     return 32 if rays > 200_000 else 16
 
 
 def _spread(values: Int[np.ndarray, " n"]) -> UInt64[np.ndarray, " n"]:
-    """Bits of small integers moved four apart."""
+    """Spreads the bits of small integers to every fourth position."""
     table = np.zeros(256, np.uint64)
     for bit in range(8):
         table |= ((np.arange(256, dtype=np.uint64) >> np.uint64(bit)) & np.uint64(1)) << np.uint64(4 * bit)
@@ -90,7 +89,7 @@ def _spread(values: Int[np.ndarray, " n"]) -> UInt64[np.ndarray, " n"]:
 
 
 def positions_along_curve(seen: Seen) -> Int[np.ndarray, " point"]:
-    """Position of every point along the curve."""
+    """Position of each point along the curve."""
     first = np.searchsorted(seen.point, np.arange(seen.points))
     centred = seen.centres - seen.centres.mean(0)
     axes = np.linalg.svd(centred.T @ centred)[2][:2]
@@ -108,7 +107,7 @@ def positions_along_curve(seen: Seen) -> Int[np.ndarray, " point"]:
 
 
 def _cut(position: Int[np.ndarray, " ray"], seen: Seen, width: int) -> Int[np.ndarray, " point"]:
-    """Tile of every position along the curve; a row of `width` points is cut in two where that is cheaper."""
+    """Tile of each position along the curve; a row of `width` points is split if that is cheaper."""
     image, images, points = seen.image, seen.images, seen.points
     part_width = width // CUTS
     rows = -(-points // width)
@@ -126,7 +125,7 @@ def _cut(position: Int[np.ndarray, " ray"], seen: Seen, width: int) -> Int[np.nd
 
 
 def _best_cut(seen: Bool[np.ndarray, "row part image"]) -> Int[np.ndarray, " row"]:
-    """Number of the part before which each row is cut, 0 where it stays whole; the work is about images^2."""
+    """Part before which each row is split, 0 for no split; the work is proportional to images^2."""
     best, at = seen.any(1).sum(1).astype(float) ** 2, np.zeros(len(seen), np.int64)
     for cut in range(1, CUTS):
         left, right = seen[:, :cut].any(1).sum(1), seen[:, cut:].any(1).sum(1)
@@ -137,12 +136,12 @@ def _best_cut(seen: Bool[np.ndarray, "row part image"]) -> Int[np.ndarray, " row
 
 
 def _columns(tile: Int[np.ndarray, " point"]) -> Int[np.ndarray, " point"]:
-    """Place of every point within its tile."""
+    """Column of each point within its tile."""
     return np.arange(len(tile)) - np.searchsorted(tile, tile)
 
 
 class Entries(NamedTuple):
-    """Tile and image of every pair with a ray, the number of each ray's image in its tile, images a tile."""
+    """Tile and image of each pair with a ray, index of each ray's image in its tile, images per tile."""
 
     tile: Int[np.ndarray, " entry"]
     image: Int[np.ndarray, " entry"]
@@ -151,7 +150,7 @@ class Entries(NamedTuple):
 
 
 def number_images(tile: Int[np.ndarray, " ray"], image: Int[np.ndarray, " ray"], images: int, tiles: int) -> Entries:
-    """The images of every tile, numbered."""
+    """The numbered images of each tile."""
     of_ray = np.empty(len(tile), np.int32)
     entries = []
     counts = np.empty(tiles, np.int64)
@@ -170,7 +169,7 @@ def number_images(tile: Int[np.ndarray, " ray"], image: Int[np.ndarray, " ray"],
 
 
 class Places(NamedTuple):
-    """Where every tile lies: device, chunk, first slot and slots; its number on the device; chunks of the devices."""
+    """Position of each tile: device, chunk, first slot and slots; its number on the device; chunks of the devices."""
 
     tile_slots: Int[np.ndarray, "tile 4"]
     number: Int[np.ndarray, " tile"]
@@ -178,14 +177,14 @@ class Places(NamedTuple):
 
 
 def _deal(kinds: Int[np.ndarray, " tile"], devices: int) -> Places:
-    """Chunks of one class each, dealt to the devices in equal parts."""
+    """Makes chunks of one class each, distributed equally over the devices."""
     tile_slots, number = np.empty((len(kinds), 4), np.int64), np.empty(len(kinds), np.int64)
     used, dealt_chunks = [0] * devices, [0] * devices
     for kind, size in enumerate(CLASSES):
         tiles = np.nonzero(kinds == kind)[0]
         per_chunk = SLOTS // size
         chunks = -(-len(tiles) // per_chunk)
-        # the device with the fewest chunks so far takes the odd one
+        # the device with the fewest chunks so far gets the odd one
         order = sorted(range(devices), key=lambda g: dealt_chunks[g])
         first = 0
         for turn, g in enumerate(order):
@@ -213,7 +212,7 @@ def laid_out(
     max_tiles: int,
     group: int,
 ) -> Tiling:
-    """Slots and cells of all tiles; `tile` of every position along the curve, `shape` of devices, chunks and slots."""
+    """Slots and cells of all tiles; `tile`: of each position along the curve, `shape`: devices, chunks and slots."""
     device, chunk, slot, size = places.tile_slots.T
     first = (device * shape[1] + chunk) * shape[2] + slot
     slot_image = np.full(shape, seen.images, np.int32)
@@ -223,7 +222,7 @@ def laid_out(
     every = np.repeat(np.arange(len(size)), size)
     within = np.arange(len(every)) - np.repeat(np.cumsum(size) - size, size)
     slot_tile.ravel()[first[every] + within] = places.number[every]
-    slot_tile = np.maximum.accumulate(slot_tile, 2)  # slots behind the last tile of a chunk belong to it
+    slot_tile = np.maximum.accumulate(slot_tile, 2)  # slots after the last tile of a chunk belong to it
 
     column, of_ray = _columns(tile), position[seen.point]
     ray = np.full((*shape, width), -1, np.int32)
@@ -236,7 +235,7 @@ def laid_out(
         slot_tile,
         ray,
         places.chunks,
-        grid_size(int(places.number.max()) + 1 + max_tiles),  # a chunk is handled as if it had most tiles
+        grid_size(int(places.number.max()) + 1 + max_tiles),  # each chunk is processed with the maximum number of tiles
         max_tiles,
         group,
     )
@@ -247,7 +246,7 @@ def tiling(seen: Seen, devices: int, width: int) -> Tiling:
     position = positions_along_curve(seen)
     of_ray = position[seen.point]
     tile = _cut(of_ray, seen, width)
-    for narrow in (width // CUTS, 1):  # tiles that see too many images are split up
+    for narrow in (width // CUTS, 1):  # tiles with too many images are split
         entries = number_images(tile[of_ray], seen.image, seen.images, int(tile[-1]) + 1)
         wide = entries.counts > SLOTS
         if not wide.any():
@@ -262,19 +261,19 @@ def tiling(seen: Seen, devices: int, width: int) -> Tiling:
 
 
 def padded_groups(groups: int) -> int:
-    """Groups a chunk: few different numbers, a quarter more than needed at most."""
+    """Groups per chunk: few different numbers, at most a quarter more than needed."""
     step = 2 ** max(0, groups.bit_length() - 3)
     return -(-groups // step) * step
 
 
 def _products(images: Int[np.ndarray, " tile"]) -> Int[np.ndarray, " tile"]:
-    """Products of groups with groups, for tiles with so many images."""
+    """Number of products of groups with groups, for tiles with a number of images."""
     groups = -(-images // GROUP)
     return groups * (groups + 1) // 2
 
 
 def _joined(position: Int[np.ndarray, " ray"], seen: Seen, width: int) -> Int[np.ndarray, " position"]:
-    """Tile of every position along the curve: rows of `width`, halved again and again where that saves products."""
+    """Tile of every position along the curve: rows of `width`, halved repeatedly if that saves products."""
     points = seen.points
     tile = np.arange(points)
     fewest = _products(np.bincount(position, minlength=points))
@@ -290,7 +289,7 @@ def _joined(position: Int[np.ndarray, " ray"], seen: Seen, width: int) -> Int[np
 
 
 def _packed(groups: Int[np.ndarray, " tile"], capacity: int, devices: int) -> Places:
-    """Tiles laid into chunks of `capacity` groups, the largest first, and the chunks dealt to the devices in turn."""
+    """Packs tiles into chunks of `capacity` groups, the largest first, and distributes the chunks over the devices."""
     order = np.argsort(-groups, kind="stable")
     chunk, slot = np.empty((2, len(groups)), np.int64)
     last, used = -1, capacity
@@ -309,7 +308,7 @@ def _packed(groups: Int[np.ndarray, " tile"], capacity: int, devices: int) -> Pl
 
 
 def long_tiling(seen: Seen, devices: int, width: int) -> Tiling:
-    """Tiles of points that have more than SLOTS rays each."""
+    """Tiles of points with more than SLOTS rays each."""
     position = positions_along_curve(seen)
     tile = _joined(position[seen.point], seen, width)
     entries = number_images(tile[position[seen.point]], seen.image, seen.images, int(tile[-1]) + 1)

@@ -9,20 +9,23 @@ from jaxbundle.report.html import charts, drawings, verdict_tiles
 from jaxbundle.report.html.html_tables import Rows, section_html
 from jaxbundle.report.html.markup import figure, tag, text
 from jaxbundle.report.html.packed_scene import scene
+from jaxbundle.report.html.verdict_tiles import chance
 from jaxbundle.report.pictures import camera_pictures, network, point_pictures, ray_pictures, vector_pictures
 from jaxbundle.report.pictures.known import root_mean_square
-from jaxbundle.report.pictures.plan_picture import Plan, plan
+from jaxbundle.report.pictures.plan_picture import CONTROL_POINT, Plan, plan
 from jaxbundle.report.section import Chapter, ReportColumn, Section, digits, fixed
 
 CAMERAS = 20  # maximum number of cameras with pictures; the tables contain all
 HIGH_RMS = 1.5  # images with a larger rms of w / sigma0 are marked
+ROUNDING = 1e-9  # share of the rms; a smaller mean is the rounding of numbers whose sum is zero
 FEW_CHECK_POINTS = 30  # minimum number for a statement of accuracy (ASPRS 2023)
 
 
 def chapters_of(figures: Figures, sections: Iterable[Section]) -> dict[Chapter, str]:
     """The markup of all chapters in order; a chapter without content is left out."""
     rows: Rows = {}
-    seen, extra = plan(figures), _extra(figures)
+    seen, of_images = plan(figures), ray_pictures.image_figures(figures)
+    extra = _extra(figures, of_images)
     by_chapter: dict[Chapter, list[str]] = {chapter: [] for chapter in Chapter}
     for section in sections:
         if section.chapter is Chapter.VERDICT and section.title == "Verdict":
@@ -33,7 +36,7 @@ def chapters_of(figures: Figures, sections: Iterable[Section]) -> dict[Chapter, 
         Chapter.PLAN: lambda: _plan(figures, seen),
         Chapter.CONTROL: lambda: _control(figures, seen),
         Chapter.RESIDUALS: lambda: _residuals(figures),
-        Chapter.IMAGES: lambda: _images(figures),
+        Chapter.IMAGES: lambda: _images(figures, of_images),
         Chapter.CAMERAS: lambda: _cameras(figures),
         Chapter.POINTS: lambda: _points(figures, seen),
         Chapter.CONNECTIONS: lambda: _connections(figures, seen),
@@ -48,14 +51,8 @@ def chapters_of(figures: Figures, sections: Iterable[Section]) -> dict[Chapter, 
     return found
 
 
-def chance(probability: float) -> str:
-    """A probability for use in a sentence."""
-    return "p < 0.0001" if probability < 1e-4 else f"p = {probability:.2g}"
-
-
-def _extra(figures: Figures) -> dict[str, tuple[ReportColumn, ...]]:
+def _extra(figures: Figures, found: ray_pictures.ImageFigures) -> dict[str, tuple[ReportColumn, ...]]:
     """Additional columns of the page: residuals of each image, and t of check points."""
-    found = ray_pictures.image_figures(figures)
     names = ("rms vx", "rms vy")
     columns = [ReportColumn("", v, name, lambda x: digits(x, 3)) for name, v in zip(names, found.rms.T, strict=False)]
     columns += [
@@ -121,7 +118,8 @@ def _statistics(groups: dict[str, vector_pictures.Vectors], unit: str) -> str:
         kind = "internal" if name == "control" else "external"
         for k, c in enumerate("XYZ"):
             if found.number[k]:
-                numbers = (found.rms[k], found.expected[k], found.mean[k], found.largest[k])
+                mean = found.mean[k] if abs(found.mean[k]) > ROUNDING * found.rms[k] else 0.0
+                numbers = (found.rms[k], found.expected[k], mean, found.largest[k])
                 cells = [str(found.number[k]), *(digits(x, 3) for x in numbers)]
                 first = tag("th", f"{name} points {c} [{text(unit)}], {kind}", scope="row")
                 lines.append(tag("tr", first + "".join(tag("td", cell) for cell in cells), class_=kind))
@@ -174,8 +172,7 @@ def _residuals(figures: Figures) -> str:
     return tag("div", parts, class_="figures")
 
 
-def _images(figures: Figures) -> str:
-    found = ray_pictures.image_figures(figures)
+def _images(figures: Figures, found: ray_pictures.ImageFigures) -> str:
     names = figures.structure.image_names
     if not len(names):
         return ""
@@ -229,7 +226,8 @@ def _points(figures: Figures, seen: Plan) -> str:
             found = point_pictures.precision_map(figures, component)
             name = f"standard deviations of {component}"
             drawn = drawings.precision_drawing(found, seen, unit, name)
-            parts.append(figure(drawn, f"Median standard deviation of {component} over the block; triangles: control."))
+            control = "; triangles: control" if (seen.role == CONTROL_POINT).any() else ""
+            parts.append(figure(drawn, f"Median standard deviation of {component} over the block{control}."))
     counts = point_pictures.ray_counts(figures)
     if counts.points.sum():
         parts.append(figure(charts.counts_chart(counts, "rays of the points"), "Points by their number of rays."))

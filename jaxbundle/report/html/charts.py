@@ -10,8 +10,10 @@ from jaxbundle.report.pictures.camera_pictures import Correlations, Distortion
 from jaxbundle.report.pictures.known import known, limits
 from jaxbundle.report.pictures.point_pictures import MAX_RAYS, RayCounts
 from jaxbundle.report.pictures.ray_pictures import Histogram
+from jaxbundle.report.section import short
 from jaxbundle.solve.history import History
 
+NAMED = 8  # maximum number of images whose names stand below their marks
 NOTABLE = 0.9  # correlations above this are printed in bold
 
 
@@ -43,7 +45,7 @@ def histogram_chart(histogram: Histogram, name: str, log: bool = False) -> str:
 def quantile_chart(quantiles: np.ndarray, name: str) -> str:
     """Quantiles of the residuals over those of the normal distribution: equal quantiles lie on the line."""
     bounds = limits(np.append(quantiles.ravel(), [-3, 3]))
-    axes = Axes(bounds, bounds, width=300, height=280)
+    axes = Axes(bounds, bounds, height=386)  # as wide as it is high inside of its margins
     line = axes.line(np.array(bounds), np.array(bounds), "line expected")
     marks = [
         tag("circle", titled(f"normal {a:.2f}, residual {b:.2f}"), cx=float(axes.u(a)), cy=float(axes.v(b)), r=2.4)
@@ -94,7 +96,9 @@ def strip_chart(values: np.ndarray, names: tuple[str, ...], limit: float, name: 
             place = {"cx": float(axes.u(k)), "cy": float(axes.v(value))}
             marks.append(tag("circle", titled(words), **place, r=radius, class_=kind))
     line = axes.line(np.array(axes.x), np.array([1.0, 1.0]), "line expected")
-    return axes.picture(axes.frame("image, in order", "rms w / sigma0") + line + tag("g", marks, class_="dots"), name)
+    few = tuple(map(short, names)) if len(names) <= NAMED else ()
+    frame = axes.frame("image" if few else "image, in order", "rms w / sigma0", few)
+    return axes.picture(frame + line + tag("g", marks, class_="dots"), name)
 
 
 def distortion_chart(curve: Distortion, name: str) -> str:
@@ -146,7 +150,7 @@ def history_charts(history: History) -> list[tuple[str, str]]:
     charts = []
     for name, values in named:
         values = known(values)
-        axes = Axes((0.0, len(rows) + 1.0), log_limits(values), width=320, height=230, log_y=True)
+        axes = Axes((0.0, len(rows) + 1.0), log_limits(values), height=250, top=14, log_y=True)
         positive = np.where(values > 0, values, np.nan)
         marks = []
         for row, value, good in zip(rows.tolist(), positive.tolist(), accepted.tolist(), strict=True):

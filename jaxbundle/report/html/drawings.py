@@ -1,6 +1,6 @@
 """Plans in SVG: the block in plan view, arrows at control and check points, connections, the map of precision."""
 
-from collections.abc import Callable
+from collections.abc import Callable, Sequence
 from typing import NamedTuple
 
 import numpy as np
@@ -16,7 +16,9 @@ from jaxbundle.report.pictures.ray_pictures import Field
 from jaxbundle.report.pictures.vector_pictures import Vectors
 
 MAX_MARKS = 1500  # maximum number of objects of one type in a static picture; the script draws all
-LABELLED = 40  # maximum number of points with names
+MAX_LABELS = 80  # maximum number of names beside points
+LETTERS, LETTER, LINE = 12, 6.6, 12.0  # maximum length of a name, width of a letter, height of a line in the picture
+MAX_TITLED = 2000  # maximum number of lines that show their names; more lines are drawn as one path
 
 
 def bounds_of(plan: Plan) -> tuple[float, float, float, float]:
@@ -28,7 +30,9 @@ def bounds_of(plan: Plan) -> tuple[float, float, float, float]:
 
 def thinned(count: int, most: int = MAX_MARKS) -> np.ndarray:
     """Evenly spread indices, up to a maximum number."""
-    return np.unique(np.linspace(0, count - 1, min(count, most)).round().astype(int)) if count else np.zeros(0, int)
+    if count <= most:
+        return np.arange(count)
+    return np.linspace(0, count - 1, most).round().astype(int)
 
 
 def _there(xy: np.ndarray) -> np.ndarray:
@@ -85,12 +89,26 @@ def _polygon(axes: Axes, corners: np.ndarray) -> str:
     return "M" + "L".join(f"{a:.1f} {b:.1f}" for a, b in zip(u, v, strict=True)) + "z"
 
 
+def uncrowded(axes: Axes, xy: np.ndarray, names: Sequence[str]) -> set[int]:
+    """Points whose names can stand beside them without lying upon that of one before them."""
+    boxes, free = np.zeros((0, 4)), set[int]()
+    for k, (u, v) in enumerate(zip(axes.u(xy[:, 0]).tolist(), axes.v(xy[:, 1]).tolist(), strict=True)):
+        width = LETTER * len(names[k][:LETTERS])
+        inside = (boxes[:, 0] < u + width) & (boxes[:, 2] > u) & (boxes[:, 1] < v + LINE) & (boxes[:, 3] > v)
+        if not inside.any():
+            boxes = np.append(boxes, [[u, v, u + width, v + LINE]], 0)
+            free.add(k)
+        if len(free) == MAX_LABELS:
+            break
+    return free
+
+
 def _marks(axes: Axes, xy: np.ndarray, names: list[str], shape: Callable[[float, float, float], str]) -> list[str]:
-    parts = []
+    parts, free = [], uncrowded(axes, xy, names)
     for k, u, v in _places(axes, xy, np.arange(len(xy))):
         parts.append(tag("path", titled(names[k]), d=shape(u, v, 5.0)))
-        if len(names) <= LABELLED:
-            parts.append(tag("text", text(names[k][:12]), x=u + 8, y=v + 4, class_="tick halo"))
+        if k in free:
+            parts.append(tag("text", text(names[k][:LETTERS]), x=u + 8, y=v + 4, class_="tick halo"))
     return parts
 
 
@@ -99,11 +117,11 @@ def vector_drawing(plan: Plan, groups: dict[str, Vectors], factor: float, unit: 
     axes = plan_axes(bounds_of(plan))
     outlines = [_polygon(axes, plan.outlines[k]) for k in thinned(len(plan.outlines), 300) if len(plan.outlines[k]) > 2]
     parts = [tag("path", d="".join(outlines), class_="outline faint")]
+    labelled = _labelled(axes, groups)
     for kind, vectors in groups.items():
         shape = triangle if kind == "control" else square
-        labelled = sum(len(g.names) for g in groups.values()) <= 2 * LABELLED
         for k in _there(vectors.position).tolist():
-            parts.append(_vector(axes, vectors, k, Look(kind, shape, labelled, factor, unit)))
+            parts.append(_vector(axes, vectors, k, Look(kind, shape, (kind, k) in labelled, factor, unit)))
     length = nice(0.18 * (axes.x[1] - axes.x[0]) / factor)
     size, right = length * factor * axes.scale, axes.width - axes.right - 40
     reference = tag("path", d=f"M{right - size:.1f} {axes.height - 16}{arrow(size, 0.0)}", class_="axis arrow")
@@ -112,6 +130,16 @@ def vector_drawing(plan: Plan, groups: dict[str, Vectors], factor: float, unit: 
     return axes.picture(
         "".join(parts) + scale_bar(axes, unit) + reference, "differences at control and check points", class_="vectors"
     )
+
+
+def _labelled(axes: Axes, groups: dict[str, Vectors]) -> set[tuple[str, int]]:
+    """Kind and row of the points whose names are drawn, those of large differences first."""
+    rows = [(kind, k) for kind, vectors in groups.items() for k in _there(vectors.position).tolist()]
+    size = np.array([np.nan_to_num(np.abs(groups[kind].difference[k])).max() for kind, k in rows])
+    rows = [rows[n] for n in np.argsort(-size, kind="stable")]
+    at = np.array([groups[kind].position[k, :2] for kind, k in rows]).reshape(-1, 2)
+    free = uncrowded(axes, at, [groups[kind].names[k] for kind, k in rows])
+    return {rows[n] for n in free}
 
 
 class Look(NamedTuple):
@@ -135,7 +163,7 @@ def _vector(axes: Axes, vectors: Vectors, k: int, look: Look) -> str:
     planar = tag("path", d=f"M0 0{arrow(known[0], -known[1])}", class_="arrow") if np.isfinite(d[:2]).any() else ""
     bar = tag("path", d=f"M0 0v{-known[2]:.1f}", class_="height") if np.isfinite(d[2]) else ""
     scaled = tag("g", planar + tag("g", bar, transform="translate(7 0)"), class_="scaled")
-    label = tag("text", text(vectors.names[k][:12]), x=9, y=-7, class_="tick halo") if labelled else ""
+    label = tag("text", text(vectors.names[k][:LETTERS]), x=9, y=-7, class_="tick halo") if labelled else ""
     inside = words + tag("path", d=shape(0.0, 0.0, 4.0), class_="mark") + scaled + label
     return tag("g", inside, transform=f"translate({u:.1f} {v:.1f})", class_=kind, data_row=k)
 
@@ -145,15 +173,18 @@ def connection_drawing(plan: Plan, found: Connections, names: tuple[str, ...], u
     (west, east), (south, north) = (limits(plan.stations[:, k], 0.06) for k in (0, 1))
     axes = plan_axes((west, south, east, north), highest=460)
     most = max(int(found.common.max(initial=1)), 1)
-    lines = []
+    lines, together = [], {}
     u, v = axes.u(plan.stations[:, 0]), axes.v(plan.stations[:, 1])
-    many = len(found.common) > 2000
-    for (a, b), number in zip(found.pairs.tolist(), found.common.tolist(), strict=True):
-        if np.isfinite([u[a], v[a], u[b], v[b]]).all():
-            words = "" if many else titled(f"{names[a]} - {names[b]}: {number} common points")
-            weight = f"w{min(4, int(5 * number / most))}"
-            path = f"M{u[a]:.1f} {v[a]:.1f}L{u[b]:.1f} {v[b]:.1f}"
-            lines.append(tag("path", words, d=path, class_="weak" if number < WEAK else weight))
+    drawn = np.isfinite([u, v]).all(0)[found.pairs].all(1)
+    for (a, b), number in zip(found.pairs[drawn].tolist(), found.common[drawn].tolist(), strict=True):
+        kind = "weak" if number < WEAK else f"w{min(4, int(5 * number / most))}"
+        path = f"M{u[a]:.1f} {v[a]:.1f}l{u[b] - u[a]:.1f} {v[b] - v[a]:.1f}"
+        if len(found.common) > MAX_TITLED:
+            together.setdefault(kind, []).append(path)
+        else:
+            words = titled(f"{names[a]} - {names[b]}: {number} common points")
+            lines.append(tag("path", words, d=path, class_=kind))
+    lines += [tag("path", d="".join(paths), class_=kind) for kind, paths in sorted(together.items())]
     there = np.flatnonzero(np.isfinite(plan.stations[:, :2]).all(1))
     dots = [
         tag("circle", titled(f"image {names[k]}"), cx=a, cy=b, r=3.0) for k, a, b in _places(axes, plan.stations, there)

@@ -78,9 +78,10 @@ for (const label of document.querySelectorAll(".factor")) {
 async function tiePositions(ties) {
   const packed = Uint8Array.from(atob(ties.data), (letter) => letter.charCodeAt(0));
   const stream = new Blob([packed]).stream().pipeThrough(new DecompressionStream("deflate-raw"));
-  const raw = await new Response(stream).arrayBuffer();
-  const grid = new Uint16Array(raw, 0, 3 * ties.count), shade = new Uint8Array(raw, 6 * ties.count, ties.count);
-  return { grid, shade };
+  const raw = new Uint8Array(await new Response(stream).arrayBuffer()), n = ties.count, grid = new Uint16Array(3 * n);
+  for (let c = 0; c < 3; c++) for (let k = 0; k < n; k++) grid[c * n + k] = raw[2 * c * n + k] + 256 * raw[(2 * c + 1) * n + k];
+  for (let k = 1; k < n; k++) grid[k] += grid[k - 1];  // X: steps from point to point, modulo 2^16
+  return { grid, shade: raw.subarray(6 * n) };
 }
 
 const VIRIDIS = [[68, 1, 84], [71, 44, 122], [59, 81, 139], [44, 113, 142], [33, 144, 141], [39, 173, 129], [92, 200, 99], [170, 220, 50], [253, 231, 37]];

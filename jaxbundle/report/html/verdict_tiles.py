@@ -58,7 +58,7 @@ def _rms(values: tuple[float, ...]) -> str:
 def _control_tile(figures: Figures) -> str:
     vectors = control_vectors(figures)
     if not vectors.names:
-        return _tile("Control points, rms", "none observed", "internal", "internal")
+        return _tile("Control points, rms", "none observed", "no control took part", "internal")
     unit, found = figures.structure.object_unit, spread(vectors)
     below = f"{unit}, {len(vectors.names)} points; internal: used in the adjustment"
     return _tile("Control points, rms", _rms(found.rms), below, "internal")
@@ -70,9 +70,14 @@ def _check_tile(figures: Figures) -> str:
         return _tile("Check points, rms", "none", "external accuracy is unknown", "external")
     unit, found = figures.structure.object_unit, spread(vectors)
     _, count, probability = external_test(vectors)
-    verdict = f"; chi-square test: p = {probability:.2g}" if count else ""
+    verdict = f"; chi-square test: {chance(probability)}" if count else ""
     below = f"{unit}, {len(vectors.names)} points{verdict}; external"
     return _tile("Check points, rms", _rms(found.rms), below, "external")
+
+
+def chance(probability: float) -> str:
+    """A probability in a sentence."""
+    return "p < 0.0001" if probability < 1e-4 else f"p = {probability:.2g}"
 
 
 def findings_html(figures: Figures, rows: Rows) -> str:
@@ -84,8 +89,10 @@ def findings_html(figures: Figures, rows: Rows) -> str:
         severity = finding.severity
         sign = tag("span", SIGNS[severity], class_="sign", aria_hidden="true")
         label = tag("span", f"{sign} {severity.label}", class_=f"chip {severity.label}")
-        cure = tag("p", text(finding.cure), class_="cure") if finding.cure else ""
-        what = tag("p", text(finding.what[:1].upper() + finding.what[1:]) + ".")
+        what, cure = (
+            tag("p", text(words[:1].upper() + words[1:]) + ".", class_=kind) if words else ""
+            for words, kind in ((finding.what, None), (finding.cure, "cure"))
+        )
         items.append(tag("li", label + tag("div", what + cure + _links(finding, rows))))
     return tag("ol", items, class_="findings")
 

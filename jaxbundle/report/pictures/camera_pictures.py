@@ -31,8 +31,10 @@ class Correlations(NamedTuple):
 
 
 def distortion(figures: Figures, camera: int) -> Distortion | None:
-    """Radial distortion r (K1 r^2 + K2 r^4 + K3 r^6) of a camera; None for a camera model without such
-    coefficients, or a curve that is not finite."""
+    """Radial distortion r (K1 r^2 + K2 r^4 + K3 r^6) of a camera.
+
+    None for a camera model without such coefficients, or a curve that is not finite.
+    """
     one, values = figures.structure.cameras[camera], figures.interior[camera]
     place = {name: k for k, name in enumerate(one.model.elements)}
     names = [name for name in (*METRIC, *RELATIVE) if name in place]

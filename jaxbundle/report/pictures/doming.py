@@ -10,8 +10,10 @@ from jaxbundle.report.pictures.vector_pictures import check_vectors, control_vec
 
 
 class Dome(NamedTuple):
-    """Differences in height over the distance from the centre of the stations, and a fitted curve. dZ = level +
-    curvature r^2 is fitted by least squares with equal weights; `sd`: of the curvature."""
+    """Differences in height over the distance from the centre of the stations, and a fitted curve.
+
+    The curve dZ = level + curvature r^2 is fitted by least squares with equal weights; `sd`: of the curvature.
+    """
 
     radius: Float[np.ndarray, " point"]
     difference: Float[np.ndarray, " point"]

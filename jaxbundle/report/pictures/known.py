@@ -9,7 +9,7 @@ LARGEST = 1e15  # above this, differences of coordinates have no correct digit i
 def known(values: np.ndarray) -> Float[np.ndarray, "..."]:
     """The values as floating-point numbers, NaN for values that cannot be drawn."""
     values = np.asarray(values, float)
-    return np.where(np.abs(np.nan_to_num(values, nan=np.inf)) < LARGEST, values, np.nan)
+    return np.where(np.abs(values) < LARGEST, values, np.nan)  # NaN is not smaller than anything
 
 
 def limits(values: np.ndarray, share: float = 0.04) -> tuple[float, float]:

@@ -24,9 +24,9 @@ class Connections(NamedTuple):
 def connections(figures: Figures, strongest: int = STRONGEST) -> Connections:
     """The strongest connections of each image."""
     structure, images = figures.structure, len(figures.structure.image_names)
-    once = np.unique(structure.ray_point.astype(np.int64) * max(images, 1) + structure.ray_image)
-    point, image = once // max(images, 1), once % max(images, 1)
-    seen = coo_array((np.ones(len(once), np.int32), (image, point)), shape=(images, len(structure.point_names))).tocsr()
+    rays, shape = (structure.ray_image, structure.ray_point), (images, len(structure.point_names))
+    seen = coo_array((np.ones(len(rays[0]), np.int32), rays), shape=shape).tocsr()  # the rays of a pair are added
+    seen.data[:] = 1
     common = (seen @ seen.T).tocoo()
     a, b = common.coords
     upper = a < b

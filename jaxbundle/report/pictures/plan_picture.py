@@ -40,17 +40,13 @@ def _outlines(figures: Figures, points: np.ndarray) -> tuple[np.ndarray, ...]:
     usable = np.isfinite(points[structure.ray_point, :2]).all(1)
     image, point = structure.ray_image[usable], structure.ray_point[usable]
     order = np.argsort(image, kind="stable")
-    image, seen = image[order], points[point[order], :2]
-    present, first = np.unique(image, return_index=True)
-    outlines: list[np.ndarray] = [np.zeros((0, 2))] * len(structure.image_names)
-    if not len(present):
-        return tuple(outlines)
-    rank = np.repeat(np.arange(len(present)), np.diff([*first, len(image)]))
-    corners = np.zeros((len(present), DIRECTIONS, 2))
-    for k, angle in enumerate(2 * np.pi * np.arange(DIRECTIONS) / DIRECTIONS):
-        along = seen @ [np.cos(angle), np.sin(angle)]
-        farthest = np.flatnonzero(along == np.maximum.reduceat(along, first)[rank])
-        corners[rank[farthest[::-1]], k] = seen[farthest[::-1]]  # the first of equal ones
-    for which, polygon in zip(present.tolist(), corners, strict=True):
-        outlines[which] = polygon[np.any(polygon != np.roll(polygon, 1, axis=0), axis=1)]
+    seen = points[point[order], :2]
+    ends = np.cumsum(np.bincount(image, minlength=len(structure.image_names))).tolist()
+    angles = 2 * np.pi * np.arange(DIRECTIONS) / DIRECTIONS
+    directions = np.stack([np.cos(angles), np.sin(angles)])
+    outlines = []
+    for first, end in zip([0, *ends], ends, strict=False):
+        mine = seen[first:end]
+        corners = mine[(mine @ directions).argmax(0)] if end > first else mine
+        outlines.append(corners[np.any(corners != np.roll(corners, 1, axis=0), axis=1)])
     return tuple(outlines)

@@ -70,7 +70,8 @@ def normal_quantiles(figures: Figures) -> Float[np.ndarray, "quantile 2"]:
 
     The outermost quantile of each tail is the extreme residual.
     """
-    values = np.sort(standardised(figures)[np.isfinite(standardised(figures))])
+    values = standardised(figures)
+    values = np.sort(values[np.isfinite(values)])
     if len(values) < 2:
         return np.zeros((0, 2))
     rank = np.unique(np.round(np.linspace(0, len(values) - 1, min(QUANTILES, len(values)))).astype(int))
@@ -92,7 +93,7 @@ def image_figures(figures: Figures) -> ImageFigures:
         rms = np.stack([np.sqrt(mean_of(known(v) ** 2)) for v in figures.residuals[0].T], 1)
         one = np.sqrt(np.stack([mean_of(w**2) for w in values.T], 1).mean(1))
     largest = np.zeros(count)
-    np.maximum.at(largest, image, np.nan_to_num(np.abs(values)).max(1, initial=0.0))
+    np.maximum.at(largest, image, np.maximum(*np.nan_to_num(np.abs(values)).T))
     return ImageFigures(n, rms, one, np.where(n > 0, largest, np.nan), _coverage(figures))
 
 
@@ -105,8 +106,8 @@ def _coverage(figures: Figures) -> Float[np.ndarray, " image"]:
     with np.errstate(all="ignore"):
         cell = np.clip(np.nan_to_num((xy - low) / (high - low)) * COVERAGE, 0, COVERAGE - 1).astype(int)
     code = (structure.ray_image.astype(int) * COVERAGE + cell[:, 0]) * COVERAGE + cell[:, 1]
-    seen = np.unique(code) // COVERAGE**2
-    return np.bincount(seen, minlength=len(structure.image_names)) / COVERAGE**2
+    cells = np.bincount(code, minlength=len(structure.image_names) * COVERAGE**2)
+    return (cells.reshape(-1, COVERAGE**2) > 0).mean(1)
 
 
 def image_format(figures: Figures, camera: int) -> tuple[float, float, float, float]:
@@ -126,11 +127,10 @@ def image_format(figures: Figures, camera: int) -> tuple[float, float, float, fl
 def residual_field(figures: Figures, camera: int, bins: tuple[int, int] = CELLS) -> Field:
     """Mean residuals of a camera's rays in the cells of a grid over its format; with few rays the cells are larger."""
     structure = figures.structure
-    rays = np.flatnonzero(structure.image_camera[structure.ray_image] == camera)
-    xy = known(np.asarray(figures.adjustment.block.rays.coordinates)[rays])
-    v, w = known(figures.residuals[0][rays]), standardised(figures)[rays]
-    usable = np.isfinite(xy).all(1) & np.isfinite(v).all(1)
-    xy, v, w = xy[usable], v[usable], w[usable]
+    of_all = known(np.asarray(figures.adjustment.block.rays.coordinates)), known(figures.residuals[0])
+    drawn = np.isfinite(of_all[0]).all(1) & np.isfinite(of_all[1]).all(1)
+    drawn &= (structure.image_camera == camera)[structure.ray_image]
+    xy, v, w = (values[drawn] for values in (*of_all, standardised(figures)))
     bounds = image_format(figures, camera)
     share = min(1.0, np.sqrt(max(len(v), 1) / RAYS_OF_CELL / (bins[0] * bins[1])))
     rows, columns = (max(3, int(n * share)) for n in bins)

@@ -7,6 +7,7 @@ Check points test the precision externally: sum t^2 is chi-square distributed, w
 difference, if errors are normal and correlations between the points are small.
 """
 
+from collections.abc import Iterable, Sequence
 from typing import NamedTuple
 
 import numpy as np
@@ -50,8 +51,8 @@ def control_vectors(figures: Figures) -> Vectors:
     tables = [table for table in figures.tables if table.name == CONTROL.name]
     if not tables:
         return _nothing()
-    table, index = tables[0], {name: k for k, name in enumerate(figures.structure.point_names)}
-    names = table.who["point"]
+    table, names = tables[0], tables[0].who["point"]
+    index = rows_of(names, figures.structure.point_names)
     position = known(figures.points[[index[name] for name in names]])
     sizes = table.normalised if np.isnan(table.w).all() else table.w
     scale = figures.sigma0 if figures.sigma0 > 0 else np.inf
@@ -73,6 +74,12 @@ def check_vectors(figures: Figures) -> Vectors:
     expected = np.where(np.isfinite(expected), expected, np.where(np.isfinite(differences), sd, np.nan))
     names = tuple(structure.point_names[p] for p in check)
     return Vectors(names, known(figures.points[check]), differences, expected, ratio)
+
+
+def rows_of(names: Iterable[str], every: Sequence[str]) -> dict[str, int]:
+    """Indices of some names among all of them."""
+    wanted = set(names)
+    return {name: k for k, name in enumerate(every) if name in wanted}
 
 
 def _nothing() -> Vectors:

@@ -179,7 +179,7 @@ def test_attitudes_are_observed_in_the_grid():
 
 
 def test_a_photograph_tells_its_position(shared_data, tmp_path):
-    pytest.importorskip("exifread")
+    pytest.importorskip("PIL")
     path = shared_data / "exchange" / "exif" / "DJI_0018_header.jpg"
     found = read_photograph(path)
     assert (found.width, found.height) == (4000, 2250)
@@ -200,8 +200,8 @@ def test_a_missing_package_is_told_with_its_extra(monkeypatch):
         raise ImportError(module)
 
     monkeypatch.setattr(extras.importlib, "import_module", absent)
-    with pytest.raises(BlockError, match="reading EXIF needs the package exifread, which is not installed; install it"):
-        extras.extra("exifread", "reading EXIF")
+    with pytest.raises(BlockError, match="reading EXIF needs the package pillow, which is not installed; install it"):
+        extras.extra("PIL.Image", "reading EXIF")
 
 
 def test_points_of_a_block_may_be_control(shared_data, tmp_path):
