@@ -25,8 +25,8 @@ class Problem:
 
     Example:
         >>> problem = jb.blocks.Problem("sZ of point A is 0", "give a positive number", "control", 0)
-        >>> str(jb.BlockError([problem]))
-        '1 problem in the block:\n  control, row 0: sZ of point A is 0; give a positive number'
+        >>> problem.what, problem.row
+        ('sZ of point A is 0', 0)
     """
 
     what: str

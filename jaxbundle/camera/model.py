@@ -47,7 +47,7 @@ class CameraModel:
     Example:
         >>> model = jb.cameras.CAMERA_MODELS["brown"]
         >>> model.name, model.components
-        2
+        ('brown', 2)
     """
 
     name: str

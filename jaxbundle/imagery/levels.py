@@ -49,7 +49,7 @@ def level_sizes(rows: int, columns: int, smallest: int = SMALLEST) -> tuple[tupl
     """Rows and columns of all levels, until the longer side is at most `smallest`.
 
     Example:
-        >>> level_sizes(513, 641)
+        >>> jb.imagery.level_sizes(513, 641)
         ((513, 641), (257, 321), (129, 161))
     """
     sizes = [(rows, columns)]
@@ -62,7 +62,7 @@ def between_levels(coordinates: T, from_level: int, to_level: int) -> T:
     """Converts image coordinates from one level to another; also lengths and standard deviations in px.
 
     Example:
-        >>> between_levels(10.5, 0, 1)
+        >>> jb.imagery.between_levels(10.5, 0, 1)
         5.25
     """
     return coordinates * 2.0 ** (from_level - to_level)

@@ -45,7 +45,7 @@ class PlannedFlight(NamedTuple):
 
 
 def read_flight(path: str | Path) -> PlannedFlight:
-    """Reads a planned flight from a file.
+    r"""Reads a planned flight from a file.
 
     Args:
         path: flight.toml, or a folder that contains it.

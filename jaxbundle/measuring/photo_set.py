@@ -56,7 +56,7 @@ class CameraGiven(NamedTuple):
 
 
 def read_positions(path: Path) -> dict[str, Station]:
-    """Reads stations by the names of their images: a CSV table with image, latitude, longitude (deg), altitude (m).
+    r"""Reads stations by the names of their images: a CSV table with image, latitude, longitude (deg), altitude (m).
 
     Raises: ImageError for a table without these columns or with a field that is not a number.
 

@@ -113,7 +113,7 @@ def absolute_orientation(
         >>> import jaxbundle as jb
         >>> model = [[0, 0, 0], [1, 0, 0], [0, 1, 0], [1, 1, 0.1]]
         >>> found = jb.orientation.absolute_orientation(model, [[0, 0, 5], [0, 2, 5], [-2, 0, 5], [-2, 2, 5.2]])
-        >>> float(found.similarity.scale)
+        >>> round(float(found.similarity.scale), 6)
         2.0
     """
     prepare_jax()

@@ -36,7 +36,7 @@ class PlanarResection(eqx.Module):
         >>> points, xy = [[0, 0, 0], [10, 0, 0], [10, 8, 0], [0, 8, 0]], [[-12, -10], [13, -9], [9, 8], [-10, 9]]
         >>> found = jb.orientation.planar_resection(jb.cameras.CAMERA_MODELS["none"], [50, 0, 0, 1, 1], points, xy)
         >>> found.better.projection_centre.shape
-        False
+        (3,)
     """
 
     better: Resection

@@ -73,7 +73,8 @@ def three_point_resection(
         >>> import jaxbundle as jb
         >>> points = [[0, 0, 0], [100, 0, 0], [0, 100, 5]]
         >>> found = jb.orientation.three_point_resection(points, [[-30, -40, -200], [70, -40, -200], [-30, 60, -195]])
-        >>> found.projection_centre[found.exact]
+        >>> np.round(found.projection_centre[found.exact], 6)[1]
+        Array([ 30.,  40., 200.], dtype=float64)
     """
     prepare_jax()
     if np.shape(object_points) != (3, 3) or np.shape(directions) != (3, 3):

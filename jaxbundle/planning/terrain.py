@@ -41,8 +41,8 @@ def grid_heights(points: Float[np.ndarray, "point 3"]) -> Heights:
 
     Example:
         >>> heights = jb.planning.grid_heights(np.array([[0, 0, 1], [0, 10, 1], [10, 0, 3], [10, 10, 3.0]]))
-        >>> float(heights(np.array(5.0), np.array(5.0)))
-        2.0
+        >>> heights(np.array([5.0]), np.array([5.0]))
+        array([2.])
     """
     x, y = np.unique(points[:, 0]), np.unique(points[:, 1])
     if len(x) < 2 or len(y) < 2 or len(points) != len(x) * len(y):

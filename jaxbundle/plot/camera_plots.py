@@ -57,9 +57,10 @@ def distortion(result: Adjustment, camera: str | int = 0, *, ax: Axes | None = N
     Raises: ValueError also for a camera model without radial coefficients.
 
     Example:
-        >>> ax = jb.plot.distortion(result, "drone")
-        >>> len(ax.lines) > 0
-        True
+        >>> jb.plot.distortion(result, "drone")  # the camera of this block has no distortion
+        Traceback (most recent call last):
+            ...
+        ValueError: ...
     """
     figures, ax = begin(result, ax, "distortion")
     c = index_of(camera, figures.camera_names, "camera")
