@@ -8,14 +8,14 @@
     print(result.summary())
     result.standard_deviations.object_points
 
-The names of every day stand here, all others in namespaces:
+The most frequent names are at top level, all others in namespaces:
 
     blocks          parts of a block, its datum, its checks before an adjustment
     observations    kinds and groups of observations that are not image points
     cameras         camera models, corrections, inner orientation
     robust          weight functions
     stopping        stopping rules
-    results         types of what an adjustment returns
+    results         types of the result of an adjustment
     statistics      precision, reliability, tests, variance components, influence
     orientation     one photograph, two photographs, a block without approximate values
     independent     independent models and strips
@@ -24,7 +24,7 @@ The names of every day stand here, all others in namespaces:
     measuring       from photographs to a block folder
     io, report      files of blocks; reports of results
     plot            pictures in matplotlib
-    textbook        printed formulas as witnesses, laws of accuracy
+    textbook        formulas of Text 000, compared with autodiff; laws of accuracy
 
 In the examples of docstrings `block` is `jb.read("quarry")`, the block that `jaxbundle new quarry` writes, `result` is
 `jb.adjust(block)`, and `plan`, `flight`, `prediction` are those of a flight of three images.

@@ -3,7 +3,7 @@
 kinds       CONTROL, STATIONS, GNSS_STATIONS, ATTITUDES, PARAMETERS, LINES, PLANES, DISTANCES; geodetic_kind for
             other measurements between points and images, interior_priors for interior elements
 groups      observation_group makes an ObservationGroup of observations of one kind
-own kinds   ObservationKind(name, labels, kinds of members, residual)
+your kinds  ObservationKind(name, labels, kinds of members, residual)
 """
 
 from jaxbundle.numerics.lazy_names import lazy_names

@@ -1,4 +1,4 @@
-"""Types of what adjustments return: for annotations and comparisons, no user makes them."""
+"""Types of the results of adjustments, for annotations and comparisons; users do not create them."""
 
 from jaxbundle.numerics.lazy_names import lazy_names
 

@@ -322,7 +322,7 @@ class Block(Facade):
         return is_concrete(self)
 
     def moved(self, shift: Float[Array | np.ndarray, "3"]) -> "Block":
-        """The same block in a shifted object system: `shift` is added to all object coordinates."""
+        """Returns the block in a shifted object system: `shift` is added to all object coordinates."""
         shift = on_host(shift)
 
         def moved(coordinates: Float[Array, "entity 3"]) -> Float[Array, "entity 3"]:

@@ -35,7 +35,7 @@ def free_masks(o: Observations) -> tuple[Array, ...]:
 
 
 def no_corrections(o: Observations) -> Corrections:
-    """Zeros."""
+    """Corrections that are all 0."""
     return Corrections(*(jnp.zeros(mask.shape) for mask in free_masks(o)))
 
 

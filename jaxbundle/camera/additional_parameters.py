@@ -45,7 +45,7 @@ GRID_SHARE = 0.4  # share of the longer side: the outer points of the grid are a
 
 
 class Product(NamedTuple):
-    """factor T_i(x) T_j(y)."""
+    """A term of a correction: factor T_i(x) T_j(y)."""
 
     factor: float
     i: int

@@ -135,7 +135,7 @@ def inner_orientation(
     q, of_scan = _reduced(scan)
     target, _ = _reduced(calibrated)
     if min(_determinacy(transformation, q), _determinacy(transformation, target)) < DEGENERATE:
-        how = {"conformal": "at one place", "affine": "on a straight line"}.get(transformation, "three on one line")
+        how = {"conformal": "at one position", "affine": "on a straight line"}.get(transformation, "three on one line")
         what = f"the fiducials of image {image} do not determine the {transformation} transformation: they lie {how}"
         raise FiducialError(what, "measure others, or correct their coordinates")
     if transformation == "projective":

@@ -177,7 +177,7 @@ def _written(outcome: Outcome, made: Made | None) -> Outcome:
 
 
 class Watched(NamedTuple):
-    """Who is told of iterations and phases."""
+    """Functions that are called for iterations and phases."""
 
     progress: Callable[[Progress], None]
     phase: Callable[[Phase], None]

@@ -49,7 +49,7 @@ app = typer.Typer(
     no_args_is_help=True,
     pretty_exceptions_enable=False,
     context_settings=_HELP,
-    help="Photogrammetric bundle adjustment with the precision and the reliability of every result.\n\n"
+    help="Photogrammetric bundle adjustment with the precision and the reliability of all results.\n\n"
     "Start: jaxbundle new quarry, then jaxbundle adjust quarry. Pages: jaxbundle docs.",
 )
 
@@ -124,7 +124,7 @@ def adjust(
     checkpoint: Annotated[
         Path | None,
         typer.Option(
-            help="File for the state after every accepted iteration; if it exists, the adjustment resumes from it."
+            help="File for the state after each accepted iteration; if it exists, the adjustment resumes from it."
         ),
     ] = None,
     method: Annotated[

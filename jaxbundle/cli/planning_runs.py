@@ -173,7 +173,7 @@ def design(path: Path) -> int:
     for k, position, sigma in zip(found.control, found.control_positions, found.control_sigmas, strict=True):
         name, step = truth.structure.point_names[k], base / 10
         moves = " ".join(change(d, step) for d in position[:2])
-        rows.append((f"control {name} moved by {step:.1f} {unit} in X, in Y", moves))
+        rows.append((f"control {name} shifted by {step:.1f} {unit} in X, in Y", moves))
         if sigma.any():
             known = sum(float(d) for d in sigma)
             rows.append((f"sigma of control {name} + 1 mm", change(known, 0.001)))

@@ -14,14 +14,16 @@ from jaxbundle.solve.stopping_rules import AbstractStoppingRule, AngleRule
 HEADER = f"{'iteration':>9}  {'cost':>14}  {'lambda':>8}  {'|Jd|/|v|':>8}  {'sigma0':>10}  {'s':>6}"
 
 _LONG = 1.0  # seconds: a phase that took longer is listed with its time
-_WORTH_TELLING = 5.0  # seconds: less is not told as time left
-_RATIOS = 3  # of successive steps, from which the next ones are foretold
+_WORTH_TELLING = 5.0  # seconds: a shorter remaining time is not shown
+_RATIOS = 3  # number of ratios of successive steps for the extrapolation of the next ones
 _MORE: dict[str, str] = {"compiling": "compiling (the first time takes up to a minute)"}
 
 
 class ProgressLines:
-    """Writes progress to standard error if that is a terminal and `quiet` is false. `rule`: the stopping rule, by which
-    the time left is estimated."""
+    """Writes progress to standard error if that is a terminal and `quiet` is false.
+
+    `rule`: the stopping rule, by which the time left is estimated.
+    """
 
     def __init__(self, quiet: bool = False) -> None:
         self._console = Console(stderr=True, highlight=False, quiet=quiet)
@@ -80,13 +82,13 @@ class ProgressLines:
 
 
 def iterations_left(steps: list[float], rule: AbstractStoppingRule | None) -> int | None:
-    """How many accepted iterations are left until the rule is met, if the steps go on to shrink as the last ones did.
+    """Number of remaining accepted iterations until the rule is met, if the steps continue to decrease as before.
 
     Args:
         steps: |J d| / |v| of the accepted iterations so far.
         rule: the stopping rule; only the rule of the angle is one of these steps.
 
-    Returns: the number, at least 1; None where nothing can be told: another rule, or steps that do not shrink.
+    Returns: the number, at least 1; None if it cannot be estimated: another rule, or steps that do not decrease.
     """
     known = [step for step in steps if math.isfinite(step) and step > 0]
     if not isinstance(rule, AngleRule) or len(known) < 2 or not rule.limit > 0:
@@ -99,7 +101,7 @@ def iterations_left(steps: list[float], rule: AbstractStoppingRule | None) -> in
 
 
 def told_left(iterations: int | None, seconds: float) -> str:
-    """Words for the iterations that are left, of so many seconds each; nothing where they take no time."""
+    """Words for the remaining iterations and their time; empty if the time is short."""
     if iterations is None or iterations * seconds < _WORTH_TELLING:
         return ""
     total = iterations * seconds

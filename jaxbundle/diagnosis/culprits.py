@@ -34,7 +34,7 @@ SINGLE = {  # table -> words for a row of it
 }
 TOGETHER = {"control": "all control points", "stations": "all stations", "attitudes": "all attitudes"}
 CURES = {
-    "rays": "measure it again or remove it",
+    "rays": "re-measure or remove it",
     "control": "check its coordinates, its name and where it was measured on the images, or remove it",
 }
 

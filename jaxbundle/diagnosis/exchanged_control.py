@@ -1,8 +1,8 @@
-"""Control points whose names are exchanged, where their number is too small to hold the wrong ones back.
+"""Finding exchanged names of control points, if their number is too small to leave the wrong ones out.
 
-The rays alone give the shape of the block. A similarity transformation brings it to the control under each way to
-deal out the names; where one way fits and every other one is far worse, the names are exchanged. Four points leave
-5 redundant coordinates (12 less the 7 of the similarity).
+The rays alone determine the shape of the block. A similarity transformation fits it to the control for each assignment
+of the names; if one assignment fits and all others are far worse, the names are exchanged. Four points have 5 redundant
+coordinates (12 minus the 7 of the similarity).
 """
 
 import dataclasses
@@ -29,15 +29,15 @@ from jaxbundle.geometry.similarity import similarity
 from jaxbundle.numerics.compilation import Compiled
 from jaxbundle.numerics.host import on_device, on_host
 
-ALL_ORDERS = 5  # points: all 120 orders of their names are tried; of more points those that exchange two names
-MAX_POINTS = 60  # of which 1770 pairs are tried
-CLEARLY = 5.0  # times as large is the misfit of every other order
+ALL_ORDERS = 5  # points: all 120 orders of their names are tried; with more points only those that exchange two names
+MAX_POINTS = 60  # maximum number of points, with 1770 pairs
+CLEARLY = 5.0  # minimum ratio of the misfits of each other order and the best one
 
 
 def exchanged_control(start: Block) -> tuple[Finding, ...]:
-    """The exchange of names with which the control fits the shape that the rays give; empty where there is none.
+    """The finding about exchanged names with which the control fits the shape from the rays; empty without one.
 
-    `start`: the block as it was given to the adjustment, with orientations that its rays agree with.
+    `start`: the block before the adjustment, with orientations that agree with its rays.
     """
     control = as_observed(start)
     if control is None or not LEAST <= len(control.point) <= MAX_POINTS:
@@ -60,14 +60,14 @@ def exchanged_control(start: Block) -> tuple[Finding, ...]:
 
 
 def _shape(control: ObservedControl) -> Float[np.ndarray, "member 3"] | None:
-    """Coordinates of the control points in a block without any control."""
+    """Coordinates of the control points from an adjustment without control."""
     groups = tuple(group for k, group in enumerate(control.block.groups) if k != control.group)
     found = tried(with_datum(started_where_rays_meet(dataclasses.replace(control.block, groups=groups))))
     return None if found is None else on_host(found.block.object_points)[control.point]
 
 
 def _orders(count: int) -> Int[np.ndarray, "order member"]:
-    """Orders of the names that are tried; the given one is the first."""
+    """Orders of the names to try; the given one is the first."""
     if count <= ALL_ORDERS:
         return np.array(list(itertools.permutations(range(count))))
     given = np.arange(count)
@@ -81,7 +81,7 @@ def _orders(count: int) -> Int[np.ndarray, "order member"]:
 
 @Compiled
 def _misfits(shape: Float[Array, "member 3"], values: Float[Array, "order member 3"]) -> Float[Array, " order"]:
-    """Root mean square distance of the control from the transformed shape, under each order."""
+    """Root mean square distance of the control from the transformed shape, for each order."""
 
     def misfit(values: Float[Array, "member 3"]) -> Float[Array, ""]:
         fit = similarity(shape, values, jnp.ones(len(shape))).similarity
@@ -98,7 +98,7 @@ def _with_order(control: ObservedControl, order: Int[np.ndarray, " member"]) -> 
 
 
 def _named(start: Block, control: ObservedControl, order: Int[np.ndarray, " member"], misfit: float) -> Finding:
-    """The points that carry the coordinates of others."""
+    """The finding about points with the coordinates of others."""
     names, unit = start.structure.point_names, start.structure.object_unit
     exchanged = np.flatnonzero(order != np.arange(len(order)))
     pairs = sorted((names[control.point[order[k]]], names[control.point[k]]) for k in exchanged)
@@ -106,6 +106,6 @@ def _named(start: Block, control: ObservedControl, order: Int[np.ndarray, " memb
     what = f"the names or coordinates of control points {named(one)} are exchanged"
     if len(pairs) > 2:
         what += ": " + named([f"the coordinates given for {first} belong to {right}" for first, right in pairs])
-    what += f"; as they are given, the shape of the block misses the control by {misfit:.4g} {unit}"
+    what += f"; with the given names, the shape of the block differs from the control by {misfit:.4g} {unit}"
     subjects = tuple(Subject("control", (name,)) for name in one)
     return Finding(Kind.SUSPECT, what, "exchange them back", subjects, misfit, unit)

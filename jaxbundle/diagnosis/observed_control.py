@@ -1,4 +1,4 @@
-"""The control of a block as one group of observations, for tries that change or leave out control points."""
+"""The control of a block as one group of observations, for trials that change or leave out control points."""
 
 import dataclasses
 from typing import NamedTuple
@@ -15,14 +15,14 @@ from jaxbundle.orientation.sight import intersected, photo_vectors, sight_of
 from jaxbundle.solve.adjust import adjust
 from jaxbundle.solve.adjustment import Adjustment, Status
 
-LOOSE = 0.02  # of the depth: sigma of loose control; flight plans and models are better
-FAR = 0.3  # of the depth: control is started where its rays meet
-ITERATIONS = 50  # of a try
-LEAST = 4  # control points; of three none can be told wrong
+LOOSE = 0.02  # share of the depth: sigma of loose control; flight plans and models are better
+FAR = 0.3  # share of the depth: beyond, control starts at the intersection of its rays
+ITERATIONS = 50  # maximum number for one trial
+LEAST = 4  # minimum number of control points; with three, no point can be identified as wrong
 
 
 class ObservedControl(NamedTuple):
-    """A block whose control is one group; the number of that group and its points."""
+    """A block with the control in one group; the index of this group and its points."""
 
     block: Block
     group: int
@@ -30,7 +30,7 @@ class ObservedControl(NamedTuple):
 
 
 def as_observed(block: Block) -> ObservedControl | None:
-    """The block with held control points observed instead, in the same group as the others."""
+    """The block in which fixed control points are observed, in the same group as the others."""
     groups = [
         k for k, group in enumerate(block.groups) if group.structure.kind == CONTROL and group.covariances is None
     ]
@@ -62,7 +62,7 @@ def depth(block: Block) -> float:
 
 
 def started_where_rays_meet(block: Block) -> Block:
-    """The block with control points that start far off put where their rays meet."""
+    """The block in which control points with a distant start are at the intersection of their rays."""
     sight = sight_of(block)
     meet = intersected(sight)
     far = np.linalg.norm(meet.points - sight.points, axis=1) > FAR * depth(block)
@@ -71,7 +71,7 @@ def started_where_rays_meet(block: Block) -> Block:
 
 
 def tried(block: Block, converged: bool = True) -> Adjustment | None:
-    """The adjustment; None where it cannot be made or, if that is asked, does not converge."""
+    """The adjustment; None if it is impossible or, if required, does not converge."""
     try:
         found = adjust(block, precision=False, max_iterations=ITERATIONS)
     except BlockError:

@@ -84,7 +84,9 @@ def _check_points(adjustment: Adjustment) -> list[Finding]:
         ]
     )
     differ = f"{len(off)} of {counted(len(worst), 'check point')} differ by more than {OFF:.0f} standard deviations"
-    cure = "check their coordinates and marks; if they are right the block is less accurate than its precision says"
+    cure = (
+        "check their coordinates and marks; if they are right the block is less accurate than its precision indicates"
+    )
     subjects = tuple(Subject("control", (name,), "XYZ"[k]) for name, k in zip(names, component, strict=True))
     return [
         Finding(

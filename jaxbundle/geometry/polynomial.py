@@ -1,6 +1,6 @@
 """Products and roots of polynomials.
 
-In closed form for the fourth degree, where a scalar may be an array of any shape; by iteration for any degree.
+The fourth degree has a closed form, with scalars that may be arrays of any shape; any degree is solved by iteration.
 """
 
 import jax.numpy as jnp
@@ -10,9 +10,9 @@ from jaxtyping import Array, Complex, Float, Int
 from jaxbundle.geometry.rotation import Scalar
 from jaxbundle.numerics.stored import stored
 
-TINY = 1e-300  # in place of a divisor that is 0: the result is not finite or is not a root
-ABERTH_STEPS = 30  # 25 found the roots of 300 random polynomials of degree 10
-ASYMMETRY = 0.4  # rad; a start that is symmetric to the real axis never leaves this symmetry
+TINY = 1e-300  # instead of a divisor of 0: the result is not finite or is not a root
+ABERTH_STEPS = 30  # 25 are sufficient for 300 random polynomials of degree 10
+ASYMMETRY = 0.4  # rad; a start symmetric to the real axis would stay symmetric
 
 
 def quartic_roots(coefficients: tuple[Scalar, ...], zero: Int[Array, ""]) -> Float[Array, "4 ..."]:
@@ -35,7 +35,7 @@ def quartic_roots(coefficients: tuple[Scalar, ...], zero: Int[Array, ""]) -> Flo
 
 
 def _largest_root(c2: Scalar, c1: Scalar, c0: Scalar) -> Scalar:
-    """Of m^3 + c2 m^2 + c1 m + c0, with c0 <= 0 real and not negative: in closed form (Cardano, Viete)."""
+    """A real root of m^3 + c2 m^2 + c1 m + c0 with c0 <= 0 that is not negative, in closed form (Cardano, Viete)."""
     q = (c2 * c2 - 3 * c1) / 9
     r = (2 * c2**3 - 9 * c2 * c1 + 27 * c0) / 54
     three = r * r < q**3
@@ -57,9 +57,9 @@ def product(a: Float[Array, " m"], b: Float[Array, " n"]) -> Float[Array, " k"]:
 
 
 def all_roots(coefficients: Float[Array, " k"]) -> Complex[Array, " n"]:
-    """The n = k - 1 complex roots at once, the coefficient of the lowest power first (Aberth 1973).
+    """All n = k - 1 complex roots at once, from coefficients with the lowest power first (Aberth 1973).
 
-    A root that is many times larger than the others may not be reached.
+    A root that is many times larger than the others may be missed.
     """
     degree = coefficients.shape[0] - 1
     leading = jnp.where(jnp.abs(coefficients[-1]) < TINY, TINY, coefficients[-1])

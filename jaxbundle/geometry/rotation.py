@@ -93,7 +93,7 @@ def to_alpha_omega_kappa(rotation: Rotation) -> Angles:
 
 
 def from_omega_phi_kappa(omega: Scalar, phi: Scalar, kappa: Scalar) -> Rotation:
-    """R_x(omega) R_y(phi) R_z(kappa)."""
+    """The rotation matrix R_x(omega) R_y(phi) R_z(kappa)."""
     return product(product(about_x(omega), about_y(phi)), about_z(kappa))
 
 

@@ -36,7 +36,7 @@ class ExifData(NamedTuple):
     station: Station | None = None
     time: str = ""
     size: tuple[int, int] | None = None
-    """Width and height in px, as the camera tells them."""
+    """Width and height in px from the EXIF data."""
 
 
 def exif_of(path: Path) -> ExifData:

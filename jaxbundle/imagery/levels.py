@@ -4,10 +4,10 @@
     size_{l+1} = ceil(size_l / 2);  u_l = 2 u_{l+1}
 
 Integers are rounded half up, from the rounded level below, as GDAL and Pillow do. For an odd size the last row or
-column is repeated, so that the scale between levels is exactly 2 and one formula holds for coordinates. (GDAL cuts an
-odd size into equal parts instead: its levels have another scale.)
+column is repeated, so that the scale between levels is exactly 2 and one formula is valid for coordinates. (GDAL cuts
+an odd size into equal parts instead: its levels have another scale.)
 
-Image coordinates have their origin in the corner of the first pixel, whose centre is (0.5, 0.5), on every level.
+Image coordinates have their origin in the corner of the first pixel, whose centre is (0.5, 0.5), on each level.
 """
 
 import math

@@ -22,7 +22,7 @@ SHARED = tuple(f"e{k + 1}" for k in range(5))
 
 
 def whitened(v: Vector, factor: tuple[Scalar, ...]) -> tuple[Scalar, ...]:
-    """L^-1 v."""
+    """The weighted residuals L^-1 v."""
     f11, f21, f22, f31, f32, f33 = factor
     return f11 * v[0], f21 * v[0] + f22 * v[1], f31 * v[0] + f32 * v[1] + f33 * v[2]
 

@@ -94,8 +94,7 @@ class StripAdjustment(NamedTuple):
         return np.asarray(self.adjustment.block.object_points)[: len(self.points)]
 
     def propagated(self) -> Propagated | None:
-        """Standard deviations from errors of the image coordinates, which accumulate along strips; None for a large
-        block."""
+        """Standard deviations from errors of image coordinates, accumulated along strips; None for a large block."""
         numbers = np.asarray(self.adjustment.block.rays.coordinates)[:, 3:9]
         rows = -whitening(lower_triangles(numbers)) @ strip_errors(self.strips, self.frames)
         return propagated(self.adjustment, all_errors(self.adjustment.block, rows))
@@ -119,7 +118,7 @@ def adjust_strips(
         degree: degree of the polynomials, 2 or 3.
         form: "separate" polynomials of X, Y and Z; "plan-conformal", a complex one for X + iY and one for Z; or
             "conformal" in space, of degree 2.
-        strips: names of the images of each strip in their order; if None, strips are found.
+        strips: names of the images of each strip in their order; if None, strips are determined.
         progress: a function that is called after each iteration.
 
     Returns: the adjustment of the strips, and the photographs with the adjusted orientations. `findings` reports

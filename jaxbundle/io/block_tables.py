@@ -213,7 +213,7 @@ def format_tables() -> str:
 
 
 def format_columns() -> str:
-    """Every column of every table in Markdown: its content, its unit, and whether it may be absent, empty or 0."""
+    """All columns of all tables in Markdown: content, its unit, and whether it may be absent, empty or 0."""
     lines: list[str] = []
     for schema in TABLES.values():
         lines += ["", f"### {schema.name}.csv", "", f"{schema.meaning[0].upper()}{schema.meaning[1:]}.", ""]

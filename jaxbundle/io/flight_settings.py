@@ -252,7 +252,7 @@ class SpecificationSection(Section):
 
 
 class FlightSettings(Section):
-    """flight.toml."""
+    """All sections of flight.toml."""
 
     name: str = ""
     seed: Annotated[int, Field(ge=0)] = 0

@@ -54,7 +54,7 @@ class Unit(Enum):
 
 @dataclass(frozen=True)
 class Column:
-    """A column; {0}, {1} and {2} in its name stand for the three angles of the rotation system.
+    """A column; {0}, {1} and {2} in its name are the three angles of the rotation system.
 
     `empty`, `zero`, `positive`, `first_face`: the cures for an empty field, for a standard deviation of 0, for a number
     that is not positive, and for an angle not between 0 and half a turn; "" where that is allowed. `missing`: the cure
@@ -119,7 +119,7 @@ def called(table: str) -> str:
 class TableSchema:
     """A table: its key in [tables], a description of a row with names of columns in braces, and its columns.
 
-    `kind`: returns the kind of observation of a row; its arguments say for each end "point" or "image"; None where the
+    `kind`: returns the kind of observation of a row; its arguments are "point" or "image" for each end; None where the
     rows are not observations. `plain`: read and written by the columns only, without further code. `systematic`:
     systematic errors of a group that the rows name, as keys of [navigation.NAME].
     """
@@ -201,6 +201,6 @@ class TableSchema:
         return dataclasses.replace(self, columns=columns)
 
     def only(self, needed: Sequence[str]) -> "TableSchema":
-        """The same table in which only these columns are required."""
+        """Returns the table in which only these columns are required."""
         columns = tuple(dataclasses.replace(c, optional=c.name not in needed) for c in self.columns)
         return dataclasses.replace(self, columns=columns)

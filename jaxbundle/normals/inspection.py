@@ -1,4 +1,4 @@
-"""Inspection of an end point by one undamped linearisation: is it a minimum, and which unknowns are determined?
+"""Inspection of an end point by one undamped linearisation: minimum or not, and undetermined unknowns.
 
     steepness     max |J_k^T P v| / |J_k|      over all unknowns k: 0 at a minimum, at most |v|
     pivots        the share of its normal equation that is independent of the unknowns before it: 0 if undetermined

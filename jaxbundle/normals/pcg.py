@@ -36,7 +36,7 @@ class ImplicitEquations(NamedTuple):
     damping: Array
 
     def solve(self, right: ReducedVector) -> ReducedVector:
-        """S^-1 r."""
+        """Solves S x = r by conjugate gradients."""
         right, precondition = self.only_free(right), self.preconditioned()
         return conjugate_gradients(self.product, precondition, right, ReducedVector.dot, TOLERANCE, MAX_ITERATIONS)[0]
 
@@ -62,7 +62,7 @@ class ImplicitEquations(NamedTuple):
         return jax.tree.map(lambda f, v: jnp.where(f, v, 0.0), free, x)
 
     def product(self, x: ReducedVector) -> ReducedVector:
-        """S x."""
+        """Computes the product S x."""
         linear, system = self.linear, self.system
         rows = reduced_product(linear, values_along(x, linear), self.stored)
         of_rays = reduced_rows(linear.total(rows), linear)

@@ -59,7 +59,7 @@ def factorise(v: Symmetric, free: tuple[Truth, Truth, Truth]) -> PointFactor:
 
 
 def forward(f: PointFactor, b: Vector) -> Vector:
-    """L^-1 b."""
+    """Solves L x = b."""
     y0 = b[0] * f.i0
     y1 = (b[1] - f.l10 * y0) * f.i1
     y2 = (b[2] - f.l20 * y0 - f.l21 * y1) * f.i2
@@ -67,7 +67,7 @@ def forward(f: PointFactor, b: Vector) -> Vector:
 
 
 def backward(f: PointFactor, y: Vector) -> Vector:
-    """L^-T y."""
+    """Solves L^T x = y."""
     x2 = y[2] * f.i2
     x1 = (y[1] - f.l21 * x2) * f.i1
     x0 = (y[0] - f.l10 * x1 - f.l20 * x2) * f.i0

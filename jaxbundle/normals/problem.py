@@ -109,11 +109,11 @@ class AbstractImageFactor(eqx.Module, Generic[F]):
 
     @abc.abstractmethod
     def forward(self, factor: F, right: Float[Array, "image d k"]) -> Float[Array, "image d k"]:
-        """L^-1 r."""
+        """Solves L x = r."""
 
     @abc.abstractmethod
     def backward(self, factor: F, right: Float[Array, "image d k"]) -> Float[Array, "image d k"]:
-        """L^-T y."""
+        """Solves L^T x = y."""
 
     @abc.abstractmethod
     def selected_inverse(self, factor: F, d: int) -> Float[Array, "pair d d"]:

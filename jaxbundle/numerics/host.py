@@ -20,7 +20,7 @@ def is_concrete(tree: Any) -> bool:
 
 
 def constant(tree: Any) -> Any:
-    """The same values without derivatives: numbers, unless they are traced by jit or vmap."""
+    """The values without derivatives: numbers, unless they are traced by jit or vmap."""
     return tree if is_concrete(tree) else jax.lax.stop_gradient(tree)
 
 

@@ -1,11 +1,11 @@
-"""The cache of compiled programs: on in every process that computes, unless its user has switched it off.
+"""The cache of compiled programs: active in all processes that compute, unless the user switches it off.
 
-JAX compiles a program for every new size of a block, which takes seconds to a minute. What is compiled is kept in the
-user's cache folder, by JAX itself and by `programs`, and the next process finds it there. As a program from the cache
-is run, the folder is trusted only if it belongs to the user and nobody else may write to it (`private_folder`).
+JAX compiles a program for each new size of a block, which takes seconds to a minute. Compiled programs are stored in
+the user's cache folder, by JAX and by `programs`, for later processes. As a program from the cache is executed, the
+folder is trusted only if it belongs to the user and nobody else may write to it (`private_folder`).
 
-The environment variable JAXBUNDLE_CACHE is "off", or an absolute path of the folder. Settings of JAX itself stand: a
-cache folder (`jax_compilation_cache_dir`, JAX_COMPILATION_CACHE_DIR), or none (`jax_enable_compilation_cache`).
+The environment variable JAXBUNDLE_CACHE is "off", or an absolute path of the folder. Settings of JAX have priority:
+a cache folder (`jax_compilation_cache_dir`, JAX_COMPILATION_CACHE_DIR), or none (`jax_enable_compilation_cache`).
 """
 
 import hashlib
@@ -21,10 +21,10 @@ from jaxbundle.numerics.float64 import require_float64
 from jaxbundle.numerics.private_folder import private_folder, trim
 
 SWITCH, OFF = "JAXBUNDLE_CACHE", "off"
-# bytes of compiled programs: a block of a new shape adds 1 to 10 MB, and every version of the program its own, so this
-# is room for some hundred; a program that was deleted is compiled again
+# bytes of compiled programs: each new shape of a block and each new version adds 1 to 10 MB, so this is enough for #
+# some hundred programs; a deleted program is compiled again
 MAX_BYTES = 500_000_000
-MIN_SECONDS = 0.05  # of a compilation that JAX keeps: reading a file takes some milliseconds
+MIN_SECONDS = 0.05  # minimum time of a compilation that JAX stores: reading a file takes some milliseconds
 
 
 def prepare_jax() -> None:
@@ -36,9 +36,9 @@ def prepare_jax() -> None:
     keep_programs()
 
 
-@cache  # once per process: later settings of the user stand
+@cache  # once per process: later settings of the user are not changed
 def keep_programs() -> None:
-    """Keeps the compiled programs of this process in the user's cache folder, unless they are kept elsewhere."""
+    """Stores the compiled programs of this process in the user's cache folder, unless another folder is set."""
     jax_keeps = programs.setting("jax_compilation_cache_dir") is not None
     folder = cache_folder() if programs.setting("jax_enable_compilation_cache") else None
     if folder is None or (jax_keeps and programs.chosen_folder()):
@@ -50,7 +50,7 @@ def keep_programs() -> None:
     if not programs.chosen_folder():
         programs.keep_in(private / "programs")
     if not jax_keeps:
-        # programs are made for the processor, and a home may be that of many machines
+        # programs depend on the processor, and many machines may share a home folder
         machine = hashlib.sha256(platform.node().encode()).hexdigest()[:12]
         jax.config.update("jax_compilation_cache_dir", str(private / "jax" / machine))
         jax.config.update("jax_persistent_cache_min_compile_time_secs", MIN_SECONDS)
@@ -58,7 +58,7 @@ def keep_programs() -> None:
 
 
 def cache_folder() -> Path | None:
-    """Where programs are kept: JAXBUNDLE_CACHE, or the user's cache folder by the XDG base directory specification.
+    """The cache folder: JAXBUNDLE_CACHE, or the user's cache folder by the XDG base directory specification.
 
     A path that is not absolute is ignored. None where the cache is switched off, and for a user without a home.
     """

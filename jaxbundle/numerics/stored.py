@@ -12,7 +12,7 @@ T = TypeVar("T")
 
 @jax.custom_jvp
 def stored(values: T, zero: Int[Array, ""]) -> T:
-    """The same values, each computed only once, also for their derivatives.
+    """Returns the values, each computed only once, also for their derivatives.
 
     XLA recomputes common parts of several expressions in each of them (on CPUs; `optimization_barrier` does not prevent
     that). A loop prevents it: this one has no iterations, as `zero` is a 0 that is known only at run time.

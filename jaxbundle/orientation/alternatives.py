@@ -24,7 +24,7 @@ TURNS = (180.0, 90.0, -90.0)  # deg
 
 
 class Alternative(NamedTuple):
-    """An alternative.
+    """An alternative to the input values.
 
     `words`:
 

@@ -47,7 +47,7 @@ class Anchors(NamedTuple):
         return np.asarray(np.isfinite(self.object_points).all(1))
 
     def only(self, chosen: Bool[np.ndarray, " anchor"]) -> "Anchors":
-        """The selected anchors."""
+        """The selection of some anchors."""
         return Anchors(*(values[chosen] for values in self))
 
 

@@ -43,7 +43,7 @@ class BlockPairs(NamedTuple):
         return (self.fits >= MIN_COMMON) & (self.fits >= MIN_SHARE * self.looked_at)
 
     def only(self, chosen: Bool[np.ndarray, " pair"] | Int[np.ndarray, " chosen"]) -> "BlockPairs":
-        """The selected pairs."""
+        """The selection of some pairs."""
         return BlockPairs(*(values[chosen] for values in self))
 
 

@@ -236,7 +236,7 @@ def _with_points(
 ) -> tuple[Float[np.ndarray, "point 3"], Bool[np.ndarray, " point"]]:
     """Replaces absurd coordinates (of control by observed ones).
 
-    Points whose rays do not intersect are put far in front.
+    Points whose rays do not intersect get a position far in front.
     """
     count = len(sight.points)
     rays = np.bincount(sight.point, minlength=count)

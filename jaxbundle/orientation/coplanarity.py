@@ -63,7 +63,7 @@ def gradients(at: Pair, rays: Rays) -> tuple[Float[Array, " point"], Float[Array
 
 
 def variances(g1: Array, g2: Array, rays: Rays) -> Float[Array, " point"]:
-    """sigma_F^2."""
+    """The variances sigma_F^2 of the conditions."""
     one = jnp.einsum("pi,pij,pj->p", g1, rays.first_covariance, g1)
     return one + jnp.einsum("pi,pij,pj->p", g2, rays.second_covariance, g2)
 

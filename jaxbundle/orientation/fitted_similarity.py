@@ -71,7 +71,7 @@ def residuals(at: Similarity, c: Control) -> Float[Array, "point 3"]:
 
 
 def weighted_residuals(at: Similarity, c: Control) -> Float[Array, "point 3"]:
-    """L^-1 v."""
+    """The weighted residuals L^-1 v."""
     turned = at.scale**2 * at.rotation @ c.model_covariance @ at.rotation.T
     both = c.observed[:, :, None] & c.observed[:, None, :]
     q = jnp.where(both, c.object_covariance + turned, jnp.eye(3))

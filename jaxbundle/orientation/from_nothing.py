@@ -317,7 +317,7 @@ def _angles(work: _Work, state: State) -> Float[np.ndarray, "image 3"]:
 def _points(work: _Work, state: State, found: Met, refused: Bool[np.ndarray, " point"]) -> Float[np.ndarray, "point 3"]:
     """Coordinates of points: given control, otherwise intersections.
 
-    A point whose rays do not intersect is put at their closest approach, or far in front.
+    A point whose rays do not intersect gets the position of their closest approach, or far in front.
     """
     points, (rays, _) = found.points.copy(), _rays(work, state, state.oriented)
     count = len(points)

@@ -38,7 +38,7 @@ class Met(NamedTuple):
 
 
 def met(rays: Rays, count: int) -> Met:
-    """Intersects all points."""
+    """Intersects all points robustly."""
     few = (
         np.bincount(rays.point, rays.believed, count) < 2
     )  # with two rays the only pair may be wrong: all pairs are tried

@@ -187,7 +187,7 @@ def mostly_beyond(
 
 
 def only(sight: Sight, rays: Bool[np.ndarray, " ray"]) -> Sight:
-    """The selected rays."""
+    """The selection of some rays."""
     return sight._replace(image=sight.image[rays], point=sight.point[rays], plane=sight.plane[rays])
 
 

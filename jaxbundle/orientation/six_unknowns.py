@@ -28,7 +28,7 @@ def cholesky(matrix: list[Scalar]) -> list[Scalar]:
 
 
 def forward(factor: list[Scalar], right: list[Scalar]) -> list[Scalar]:
-    """L^-1 b."""
+    """Solves L x = b."""
     y: list[Scalar] = []
     for i in range(UNKNOWNS):
         y.append((right[i] - sum(factor[place(i, k)] * y[k] for k in range(i))) * factor[place(i, i)])
@@ -36,7 +36,7 @@ def forward(factor: list[Scalar], right: list[Scalar]) -> list[Scalar]:
 
 
 def backward(factor: list[Scalar], right: list[Scalar]) -> list[Scalar]:
-    """L^-T b."""
+    """Solves L^T x = b."""
     x: list[Scalar] = list(right)
     for i in reversed(range(UNKNOWNS)):
         rest = right[i] - sum(factor[place(k, i)] * x[k] for k in range(i + 1, UNKNOWNS))

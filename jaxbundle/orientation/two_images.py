@@ -19,7 +19,7 @@ SMALL = 1e-30  # instead of a squared base of 0
 
 
 def cross_matrix(t: Float[Array, "3"]) -> Float[Array, "3 3"]:
-    """[t]x."""
+    """The skew-symmetric matrix [t]x of a vector."""
     zero = jnp.zeros(())
     return jnp.stack([zero, -t[2], t[1], t[2], zero, -t[0], -t[1], t[0], zero]).reshape(3, 3)
 

@@ -3,7 +3,7 @@
     C'  = C - C_k (C_kk + S)^-1 C_k^T                      a layout k chosen: one update, no normal equations
     f(z) = tr W (M_0 + sum z_i F_i)^-1 / sum W             convex in 0 <= z <= 1, sum z = k; its minimum is below all
     df/dz_i = - tr F_i (Q W Q)_ii                          F = S^-1: weight of control at a candidate
-    f(z) - g^T (z - d) <= f of every layout                d: 1 at the k most negative g, else 0 (Frank & Wolfe 1956)
+    f(z) - g^T (z - d) <= f of each layout                d: 1 at the k most negative g, else 0 (Frank & Wolfe 1956)
 
 (Joshi & Boyd 2009, IEEE TSP 57(2) 451: relaxation, rounding, exchange.) The bound may be far below the best layout
 where control is much better than the block; its gap is part of the answer.

@@ -1,4 +1,4 @@
-"""Image coordinates at which the package's own image equation leaves no residual, for any camera model."""
+"""Image coordinates with zero residuals of the image equation, for any camera model."""
 
 import equinox as eqx
 import jax.numpy as jnp

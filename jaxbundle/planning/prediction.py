@@ -62,8 +62,7 @@ class Prediction(eqx.Module):
 
     @property
     def standard_deviations(self) -> StandardDeviations:
-        """A-priori standard deviations of all unknowns: object unit, radians, unit of the interior elements; 0 if
-        fixed."""
+        """A-priori standard deviations of all unknowns: object unit, radians, unit of interior elements; 0 if fixed."""
         return self.cofactors.standard_deviations(1.0)
 
     @property

@@ -32,7 +32,7 @@ __all__ = ["SimulatedFlight", "Simulation", "exact_coordinates", "simulate", "si
 
 
 class Simulation(NamedTuple):
-    """A simulated block.
+    """A simulated block with its truth.
 
     `block`: observations and approximate values; `truth`: same structure with true values and no errors.
 

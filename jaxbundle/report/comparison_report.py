@@ -98,5 +98,5 @@ def comparison_html(found: Comparison, test: Congruency | None = None) -> str:
         tag("section", section_html(section, {}, {}), class_="chapter") for section in comparison_sections(found, test)
     ]
     header = tag("p", "Comparison of two adjustments", class_="kicker") + tag("h1", text(" and ".join(found.names)))
-    header += tag("p", "Differences are second less first; t is the difference over its standard deviation.")
+    header += tag("p", "Differences are second minus first; t is the difference over its standard deviation.")
     return whole_page("Comparison of two adjustments", header, [], body)

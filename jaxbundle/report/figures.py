@@ -95,7 +95,7 @@ class Figures:
         return parameter_ratios(self.adjustment)
 
     def correlations(self) -> list[tuple[int, str, str, float]]:
-        """Camera, two of its unknown elements and their correlation, for every pair."""
+        """Camera, two of its unknown elements and their correlation, for each pair."""
         if self.adjustment.cofactors is None:
             return []
         matrices = np.asarray(self.adjustment.interior_correlations)

@@ -14,7 +14,7 @@ from jaxbundle.solve.adjustment import Adjustment
 def frames_of(adjustment: Adjustment, *, units: bool = True) -> dict[str, pl.DataFrame]:
     """All tables of an adjustment by name; `units`: whether names of columns contain units."""
     if not is_concrete(adjustment):
-        raise ValueError("tables are made of numbers: call to_frames outside of jit, grad and vmap")
+        raise ValueError("tables are made of numbers: call to_frames outside jit, grad and vmap")
     require_photographs(adjustment.block, "to_frames")
     with np.errstate(all="ignore"):  # overflows and unknown values are null in the tables
         sections = [section() for section in sections_of(figures_of(adjustment, ()))]

@@ -4,7 +4,7 @@
     images/NAME     the image as a pinhole, with the residuals of its rays as arrows
     iterations      v^T P v, damping and step over the iterations
 
-Rerun has coordinates in single precision: all are less an offset, which the name of the recording tells.
+Rerun has coordinates in single precision: all are reduced by an offset, which the name of the recording contains.
 """
 
 from pathlib import Path
@@ -25,16 +25,16 @@ from jaxbundle.report.point_cloud import format_corners
 from jaxbundle.solve.adjustment import Adjustment
 
 CAMERA_AXES = np.diag([1.0, -1.0, -1.0])  # Rerun's pinholes look along z, with y down
-ARROW = 0.02  # of the format: the median residual as an arrow
-INTO = 0.08  # distance of the picture of an image from its centre, over the distance to the points
+ARROW = 0.02  # share of the format: length of the median residual as an arrow
+INTO = 0.08  # ratio of the distance of the picture of an image from its centre and the distance to the points
 
 
 def to_rerun(result: Adjustment, path: str | Path) -> Path:
     """Writes a result as a recording for the viewer Rerun, and returns its path.
 
-    A recording is tied to versions of Rerun; `to_ply` writes the form that lasts.
+    A recording depends on the version of Rerun; `to_ply` writes a permanent format.
 
-    Raises: TypeError for what is not an adjustment; BlockError where rerun-sdk is not installed; OSError where the file
+    Raises: TypeError for other objects; BlockError where rerun-sdk is not installed; OSError where the file
     cannot be written.
 
     Example:
@@ -45,7 +45,7 @@ def to_rerun(result: Adjustment, path: str | Path) -> Path:
     require_photographs(result.block, "report.to_rerun")
     rerun, target = extra("rerun", "to_rerun"), Path(path)
     with target.open("wb"):
-        pass  # Rerun tells nothing where it cannot write
+        pass  # Rerun reports no error if it cannot write
     with np.errstate(all="ignore"):
         figures = figures_of(result, ())
     offset = offset_of(figures.points)

@@ -1,4 +1,4 @@
-"""Two surveys of the same points: which points moved, by the covariances of both.
+"""Two surveys of the same points: tests of displacements with the covariances of both.
 
     d = x_b - x_a,   Q = Q_a + Q_b,   s0^2 = (v^T P v_a + v^T P v_b) / (f_a + f_b)
     F = d^T Q^+ d / (h s0^2),   h = rank Q                  congruent if F < F(h, f_a + f_b) (Pelzer 1971)
@@ -9,12 +9,12 @@ points to those of a, and d and Q by the S-transformation over the same points (
     S = I - G (G_D^T G_D)^-1 G_D^T,   d <- S d,   Q <- S Q S^T
 
 where G has the seven directions of a similarity as its columns, and G_D those rows that belong to datum points D. At
-first all common points are datum points. As long as they are not congruent, the one whose own F is largest is taken
-out, so that a point that moved does not drag the others along. In the end every point is tested by its own block of Q,
-at the level that makes all single tests together have the level asked for (Sidak 1967).
+first all common points are datum points. As long as they are not congruent, the point with the maximum F is removed,
+so that a displaced point does not affect the others. Finally each point is tested with its block of Q, at a level such
+that all single tests together have the given level (Sidak 1967).
 
-The observations of both surveys are taken as independent. Where both have the same control coordinates, their errors
-are the same in both and cancel in d, so that Q is too large and the test careful.
+The observations of both surveys are assumed to be independent. Where both have the same control coordinates, their
+errors are the same in both and cancel in d, so that Q is too large and the test conservative.
 """
 
 from typing import Literal, NamedTuple
@@ -38,7 +38,7 @@ Datum = Literal["common", "similarity"]
 
 
 class Surveys(NamedTuple):
-    """The test of two surveys. Rows are the common points; differences are second less first, in the datum of both.
+    """The test of two surveys. Rows are the common points; differences are second minus first, in the common datum.
 
     Example:
         >>> test = jb.report.survey_congruency(result, result)
@@ -56,21 +56,21 @@ class Surveys(NamedTuple):
     limit: float
     probability: float
     points: Float[np.ndarray, " point"]
-    """F of every single point."""
+    """F of each single point."""
     point_limit: Float[np.ndarray, " point"]
     moved: Bool[np.ndarray, " point"]
     datum: Datum
     datum_points: tuple[str, ...]
-    """Points that carry the similarity; all common ones where both surveys have the system of their control."""
+    """Points of the similarity; all common ones if both surveys have the system of their control."""
     full: bool
-    """Whether correlations between the points are regarded."""
+    """Whether correlations between the points are used."""
     variances: float
     """The probability of so different variances of unit weight, two-sided (F test)."""
     level: float
 
     @property
     def congruent(self) -> bool:
-        """Whether nothing moved: neither all points together nor a single one exceeds its limit."""
+        """Whether there are no displacements: neither all points together nor a single one exceeds its limit."""
         return self.statistic <= self.limit and not bool(self.moved.any())
 
     def summary(self) -> str:
@@ -117,14 +117,14 @@ def survey_congruency(
     Args:
         first: a concrete adjustment with standard deviations.
         second: the later one; its observations are independent of those of the first.
-        level: probability that points which did not move are called moved, for all single tests together and for the
+        level: probability of an error of the first kind, for all single tests together and for the
             test of all points.
         datum: "common" where both are in the system of the same control, "similarity" to compare shapes only; None
             takes "common" where control gives the datum of both.
 
     Returns: the test, with differences in the unit of the first survey.
 
-    Raises: TypeError for what is not an adjustment; ValueError for a level outside of 0 to 1, for surveys without
+    Raises: TypeError for other objects; ValueError for a level not between 0 and 1, for surveys without
     standard deviations, and for too few common points.
 
     Example:
@@ -137,7 +137,7 @@ def survey_congruency(
         if one.cofactors is None:
             raise ValueError("a survey has no standard deviations: adjust both with precision=True")
     if not 0 < level < 1:
-        raise ValueError(f"the level {level} does not lie between 0 and 1")
+        raise ValueError(f"the level {level} is not between 0 and 1")
     names, rows = _common(first, second)
     kinds = {one.block.structure.datum.kind for one in (first, second)}
     chosen: Datum = datum or ("common" if kinds == {"control"} else "similarity")
@@ -251,13 +251,13 @@ def _together(tested: _Tested, points: Int[np.ndarray, " point"], variance: floa
 
 
 def _alone(tested: _Tested, variance: float) -> tuple[Float[np.ndarray, " point"], Int[np.ndarray, " point"]]:
-    """F of every single point, and its first degrees of freedom."""
+    """F of each single point, and its first degrees of freedom."""
     found = [_together(tested, np.array([k]), variance) for k in range(len(tested.difference) // 3)]
     return np.array([value for value, _ in found]), np.array([rank for _, rank in found])
 
 
 def _carriers(both: _Both, variance: float, freedom: int, level: float) -> Int[np.ndarray, " carrier"]:
-    """The points that carry the similarity: those that are congruent when the ones that moved are taken out."""
+    """The points of the similarity: those that are congruent without the displaced ones."""
     carriers = np.arange(len(both.first))
     while True:
         tested = _in_datum(both, carriers, "similarity")

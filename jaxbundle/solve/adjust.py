@@ -148,7 +148,7 @@ class _Watch(NamedTuple):
     phase: Callable[[Phase], None] | None = None
 
     def begins(self, phase: Phase) -> None:
-        """Tells who looks on that a phase begins."""
+        """Reports the begin of a phase."""
         if self.phase is not None:
             self.phase(phase)
 
@@ -306,8 +306,8 @@ def _step_by_step(run: _Run, checkpointer: Checkpointer | None) -> tuple[Ordered
 
 
 def _undamped(run: _Run, found: Solved, args: Arguments) -> Solved | None:
-    """Full steps of Gauss-Newton from where damped ones creep along a curved valley; None unless they converge at a
-    smaller cost."""
+    """Full Gauss-Newton steps from a point at which damped ones creep; None unless they converge at a smaller
+    cost."""
     damping, steps = Undamped(), min(UNDAMPED_STEPS, run.options.max_iterations - int(found.state.trials))
     if steps <= 0:
         return None

@@ -168,12 +168,12 @@ class Adjustment(eqx.Module):
 
     @property
     def n_observations(self) -> int:
-        """M."""
+        """The number M of observations."""
         return self.block.n_observations
 
     @property
     def n_unknowns(self) -> int:
-        """N."""
+        """The number N of unknowns."""
         return self.block.structure.n_unknowns
 
     @property
@@ -183,7 +183,7 @@ class Adjustment(eqx.Module):
 
     @property
     def vtpv(self) -> Float[Array, ""]:
-        """The weighted sum of squares v^T P v of all observations."""
+        """The weighted sum of squares The weighted sum of squares v^T P v of all observations."""
         squares = [array_module(v).sum(on_host(v) ** 2) for v in self.weighted_residuals]
         return on_device(sum(squares, 0.0))
 

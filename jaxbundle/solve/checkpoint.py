@@ -64,7 +64,7 @@ def require_same_block(block: Block, method: str) -> None:
 
 
 def save(path: Path, mark: str, unknowns: Unknowns, state: Any) -> None:
-    """Writes a checkpoint.
+    """Writes a checkpoint to a file.
 
     Raises: OSError where the file cannot be written.
     """

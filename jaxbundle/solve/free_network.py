@@ -10,7 +10,7 @@ points:
 
     Q' = S Q S^T,    S = I - G (B^T G)^-1 B^T
 
-for every block of Q: Q' = Q - G C^T - C G^T + G D G^T,  C = Q B M^T,  D = M B^T Q B M^T,  M = (B^T G)^-1. Among all
+for each block of Q: Q' = Q - G C^T - C G^T + G D G^T,  C = Q B M^T,  D = M B^T Q B M^T,  M = (B^T G)^-1. Among all
 datums these minimise the sum of the cofactors of the points' coordinates (Meissl 1962).
 """
 

@@ -44,7 +44,7 @@ def require_finite_start(block: Block, plan: EliminationPlan, unknowns: OrderedU
             for member, v in enumerate(on_host(residuals).T[: len(group.structure.indices)])
             if _is_bad(v[None])[0]
         ]
-    cure = "look for values that are far too large or too small"
+    cure = "check for values that are far too large or too small"
     raise BlockError(problems or [Problem("v^T P v of the approximate values is not a finite number", cure)])
 
 

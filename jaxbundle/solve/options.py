@@ -54,7 +54,7 @@ class Options(eqx.Module):
     precision: bool = eqx.field(static=True, default=True)
     """Whether cofactors and standard deviations are computed."""
     engine: str = eqx.field(static=True, default="block")
-    """"block", or "jaxopt" as a second opinion on small blocks."""
+    """"block", or "jaxopt", an independent solver for small blocks."""
     reduced: Method = eqx.field(static=True, default="auto")
     """Solver of the reduced normal equations: "dense", "panels", "pcg", or "auto" by their size."""
     devices: int | None = eqx.field(static=True, default=None)

@@ -40,7 +40,7 @@ class Status(IntEnum):
         }[self]
 
 
-# INTERRUPTED and CREEPING are decided between two steps, outside of the solver
+# INTERRUPTED and CREEPING are decided between two steps, outside the solver
 OF_RESULTS = (
     (optx.RESULTS.successful, Status.CONVERGED),
     (optx.RESULTS.nonlinear_max_steps_reached, Status.MAXIMUM_ITERATIONS),

@@ -31,7 +31,7 @@ from jaxbundle.numerics.shapes import grid_size
 from jaxbundle.solve.free_network import similarities
 from jaxbundle.solve.similarity_findings import Gauge, gauge_findings
 
-MAX_NAMED = 3000  # unknowns of the reduced equations; above this, only the place of a failed factorisation is reported
+MAX_NAMED = 3000  # unknowns of the reduced equations; above this only the failed one is reported
 HELD = 1e-8  # share of a transformation's length that changes a fixed unknown
 RANK = 1e-10  # share of the maximum: smaller ones are combinations of others, such as the scale of a single image
 TOGETHER = 1e-3  # element of the projector on the null space: below this two unknowns are independent
@@ -70,7 +70,7 @@ class Scaled(NamedTuple):
     end: End
 
     def product(self, x: Float[np.ndarray, "kept k"]) -> Float[np.ndarray, "kept k"]:
-        """S x."""
+        """The product S x."""
         if self.end.plan.layout.implicit:
             return self._by_passes(x)
         system, (images, d) = self.system, self.system.diagonal.shape

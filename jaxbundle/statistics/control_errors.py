@@ -71,7 +71,7 @@ class Influence(NamedTuple):
 
     @property
     def negligible(self) -> bool:
-        """Markuze's criterion."""
+        """Whether Markuze's criterion is met."""
         return self.largest <= NEGLIGIBLE
 
     @property

@@ -51,7 +51,7 @@ def level_of_one(level: float, tests: int) -> float:
 
 
 def non_centrality(level: float = LEVEL, power: float = POWER) -> float:
-    """delta0."""
+    """The non-centrality parameter delta0."""
     return float(ndtri(1 - level / 2) + ndtri(power))
 
 

@@ -46,7 +46,7 @@ class Subset:
         return Subset(f"{self.name} and {other.name}", masks)
 
     def named(self, name: str) -> "Subset":
-        """The same subset with another name."""
+        """Returns the subset with another name."""
         return dataclasses.replace(self, name=name)
 
 

@@ -304,7 +304,7 @@ def _matrix_table(matrix: MatrixComparison) -> list[str]:
 def _verdict_on_formulas(check: CrossCheck) -> list[str]:
     ordinary, singular = check.ordinary, check.singular
     count = int(ordinary.holds.sum())
-    held = "All 18 partials hold" if count == 18 else f"{count} of the 18 partials hold"
+    held = "All 18 partials are correct" if count == 18 else f"{count} of the 18 partials are correct"
     lines = [f"{held} {check.title}, with the corrected matrix (threshold {THRESHOLD:.0e})."]
     for k in np.flatnonzero(~ordinary.holds):
         sign = "has the opposite sign" if ordinary.wrong_sign[k] else f"deviates by {ordinary.worst[k]:.1e}"
@@ -325,7 +325,7 @@ def _verdict_on_matrix(check: CrossCheck) -> list[str]:
         f"{len(matrix.wrong)} elements are wrong. Correct:"
     ]
     lines += [f"  {name} = {corrected}" for name, _, corrected in MATRIX_ELEMENTS if name in matrix.wrong]
-    lines.append(f"With the matrix as printed {_names(np.flatnonzero(~holds))} do not hold.")
+    lines.append(f"With the matrix as printed {_names(np.flatnonzero(~holds))} are not correct.")
     return lines
 
 

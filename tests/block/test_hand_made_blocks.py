@@ -185,7 +185,7 @@ def test_all_is_told_at_once(block):
     wrong = put(wrong, lambda b: b.object_points, jnp.zeros(3))
     found = refused(wrong)
     assert len(found) == 3  # one line for each cause
-    assert f"and {len(s.ray_image) - 1} more alike" in found[1]
+    assert f"and {len(s.ray_image) - 1} more similar ones" in found[1]
 
 
 JUNK = (

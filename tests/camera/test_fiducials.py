@@ -79,7 +79,7 @@ def test_the_fewest_fiducials_leave_no_redundancy(name, few):
 @pytest.mark.parametrize(
     "name, which, where",
     [
-        ("conformal", [0, 0, 0], "at one place"),
+        ("conformal", [0, 0, 0], "at one position"),
         ("affine", [4, 5, 4, 5], "on a straight line"),
         ("projective", [0, 2, 4, 1], "three on one line"),
     ],

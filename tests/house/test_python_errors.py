@@ -142,7 +142,7 @@ def test_covariance_of_what_is_none(result, words):
 
 
 def test_covariance_of_no_function(result):
-    with pytest.raises(TypeError, match="takes a function of the block, not ArrayImpl"):
+    with pytest.raises(TypeError, match="needs a function of the block, not ArrayImpl"):
         jb.covariance_of(result, result.block.object_points)
 
 

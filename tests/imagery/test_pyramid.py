@@ -131,7 +131,7 @@ def test_found_again_by_size_time_and_hash(beach, tmp_path):
 def test_windows_outside_are_refused(beach, tmp_path):
     Image.fromarray(beach[:300, :300]).save(tmp_path / "beach.png")
     made = pyramid(tmp_path / "beach.png")
-    with pytest.raises(ValueError, match="leave level 1 of beach.png, which has 150 rows"):
+    with pytest.raises(ValueError, match="exceed level 1 of beach.png, which has 150 rows"):
         made.window(1, (100, 0), (51, 10))
     with pytest.raises(ValueError, match="levels 0 to 1, not 2"):
         made.level(2)

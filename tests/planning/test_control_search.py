@@ -83,7 +83,7 @@ def test_capped_simplex():
     [
         (lambda c: best_layout(c, 11), "11 control points of 10 candidates; give 1 to 10"),
         (lambda c: best_layout(c, 2, Objective("least")), "criterion 'least' is unknown; there are mean, worst"),
-        (lambda c: relaxation(c._replace(noise=np.zeros(3)), 2), "errorless control cannot be shared out"),
+        (lambda c: relaxation(c._replace(noise=np.zeros(3)), 2), "errorless control cannot be divided"),
     ],
 )
 def test_what_the_search_refuses(small, call, message):
@@ -98,7 +98,7 @@ def test_search_on_a_block():
     truth = simulate_flight(plan).truth
     assert ground_sigma(truth) == pytest.approx(UNIT)
     every = np.arange(len(truth.structure.point_names))
-    candidates = candidates_of(truth, every, (0.5 * UNIT,) * 3, prior=100 * UNIT)
+    candidates = candidates_of(truth, every, (0.5 * UNIT,) * 3, prior=1000 * UNIT)
     found = best_layout(candidates, 8)
     assert found.objective / UNIT**2 < 1.02 * 3.92
     assert 0 < found.bound < found.objective and found.gap == pytest.approx(0.79, abs=0.03)
@@ -115,7 +115,7 @@ def test_search_on_a_block():
 def test_search_in_a_block_of_large_overlap():
     truth = simulate_flight(schematic(strips=6, images=8, side_overlap=0.6)).truth
     every = np.arange(len(truth.structure.point_names))
-    candidates = candidates_of(truth, every, (0.5 * UNIT,) * 3, prior=100 * UNIT)
+    candidates = candidates_of(truth, every, (0.5 * UNIT,) * 3, prior=1000 * UNIT)
     found = best_layout(candidates, 8)
     assert found.objective / UNIT**2 < 1.02 * 1.29
     assert found.bound / UNIT**2 == pytest.approx(0.555, abs=0.005)

@@ -346,7 +346,7 @@ def test_compare_and_show(result, run, tmp_path, monkeypatch):
     assert (code, err) == (0, "") and "the points are congruent" in out
     assert (tmp_path / "c.html").read_text().startswith("<!doctype html>")
     assert json.loads((folder / "report.json").read_text())["history"]["1"]["accepted"] is True
-    for other, words in ((tmp_path, "holds no report.json"), (tmp_path / "bad", "is damaged")):
+    for other, words in ((tmp_path, "contains no report.json"), (tmp_path / "bad", "is damaged")):
         other.mkdir(exist_ok=True)
         if other.name == "bad":
             (other / "report.json").write_text("{")

@@ -91,7 +91,7 @@ def test_in_the_system_of_control_differences_are_taken_as_they_are(first):
 
 
 def test_what_cannot_be_tested(first):
-    with pytest.raises(ValueError, match="the level 2 does not lie between 0 and 1"):
+    with pytest.raises(ValueError, match="the level 2 is not between 0 and 1"):
         survey_congruency(first, first, level=2)
     with pytest.raises(ValueError, match="no standard deviations: adjust both with precision=True"):
         survey_congruency(first, dataclasses.replace(first, cofactors=None))

@@ -118,7 +118,7 @@ def test_what_a_file_holds_is_looked_at(tmp_path: Path) -> None:
     np.testing.assert_array_equal(unknowns["points"], [1, 2, 3])
     assert float(state["cost"]) == 2.0
     broken = {
-        "float64 of shape \\(2,\\) in place of float64 of shape \\(3,\\)": jnp.ones(2),
+        "float64 of shape \\(2,\\) instead of float64 of shape \\(3,\\)": jnp.ones(2),
         "int64 of shape": jnp.arange(3),
         "not a finite number": jnp.array([1.0, jnp.nan, 2.0]),
         "damaged": jnp.ones(100_000),

@@ -171,7 +171,7 @@ def test_a_lost_process_is_bad_input_not_an_error_of_the_program() -> None:
         (("10.0.0.1:4000", 2, None), "needs --processes N and --process I"),
         (("10.0.0.1:4000", 2, 2), "not from 0 to 1"),
         ((None, 2, 0), "require --coordinator"),
-        (("auto", 2, 0), "by itself"),
+        (("auto", 2, 0), "determines"),
     ],
 )
 def test_options_that_do_not_belong_together(options: tuple[str | None, int, int | None], words: str) -> None:

@@ -111,5 +111,5 @@ def test_free_network_again_from_its_result(networks):
 
 def test_free_networks_are_not_traced():
     block = inner(free_network(2))
-    with pytest.raises(ValueError, match="outside of jit"):
+    with pytest.raises(ValueError, match="inside jit"):
         jax.eval_shape(lambda b: adjust(b).sigma0, block)

@@ -131,7 +131,7 @@ def test_second_opinion_is_for_small_blocks():
     with pytest.raises(ValueError, match=f"limited to 3000 unknowns; the block has {block.structure.n_unknowns}"):
         adjust(block, engine="jaxopt")
     arrays, static = eqx.partition(small_block().block, eqx.is_array)
-    with pytest.raises(ValueError, match="outside of jit"):
+    with pytest.raises(ValueError, match="inside jit"):
         jax.jit(lambda arrays: adjust(eqx.combine(arrays, static), engine="jaxopt").sigma0)(arrays)
 
 

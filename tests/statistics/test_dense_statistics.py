@@ -69,7 +69,7 @@ def test_robust_weights_are_seen(block):
 
 
 def test_limits(block, monkeypatch):
-    with pytest.raises(ValueError, match="leave some unknowns undetermined"):
+    with pytest.raises(ValueError, match="some unknowns are undetermined"):
         block_system(dataclasses.replace(block, groups=()))
     monkeypatch.setattr(dense, "MAX_UNKNOWNS", 10)
     with pytest.raises(ValueError, match="limited to 10 unknowns; the block has 162"):

@@ -114,7 +114,7 @@ def test_constants():
     assert 1 - (1 - level_of_one(0.05, 300)) ** 300 == pytest.approx(0.05)
     assert critical_tau(10**7, 0.001) == pytest.approx(norm.isf(0.0005), abs=1e-4)
     assert critical_tau(5, 0.001) < np.sqrt(5)  # tau is bounded by the root of the redundancy
-    with pytest.raises(ValueError, match="redundancy of 2"):
+    with pytest.raises(ValueError, match="redundancy of at least 2"):
         critical_tau(1)
 
 

@@ -40,7 +40,7 @@ def test_all_printed_partials_hold_with_the_corrected_matrix(check):
     assert check.passed
     assert check.ordinary.deviations.shape == (3, 18)
     assert (check.ordinary.deviations < THRESHOLD).all()
-    assert "All 18 partials hold as printed" in check.verdict()
+    assert "All 18 partials are correct as printed" in check.verdict()
 
 
 def test_the_form_without_division_by_zero_holds_everywhere(check):
@@ -85,7 +85,7 @@ def test_published_defects_of_the_printed_matrix(angles, defect, digits):
 
 def test_with_the_printed_matrix_only_shifts_hold(check):
     assert names(check.with_printed_matrix.holds) == OF_ANY_MATRIX
-    assert "With the matrix as printed A4, A5, A6, B4, B5, B6 do not hold." in check.verdict()
+    assert "With the matrix as printed A4, A5, A6, B4, B5, B6 are not correct." in check.verdict()
 
 
 @pytest.mark.parametrize("name", ["A1", "A5", "A6", "B4", "B9"])
@@ -94,7 +94,7 @@ def test_a_planted_sign_error_is_found_and_named(name):
     assert not check.passed
     assert names(~check.ordinary.holds) == names(check.ordinary.wrong_sign) == [name]
     assert check.ordinary.worst[NAMES.index(name)] > 0.1
-    assert "17 of the 18 partials hold as given" in check.verdict()
+    assert "17 of the 18 partials are correct as given" in check.verdict()
     assert f"  {name} d" in check.verdict() and "has the opposite sign; correct:" in check.verdict()
 
 

@@ -77,12 +77,12 @@ def mm_camera(name: str, c: float, x0: float = 0.0, y0: float = 0.0) -> ForeignC
 
 
 def scaled(foreign: ForeignBlock, factor: float) -> ForeignBlock:
-    """The same block with image coordinates in another unit."""
+    """Returns the block with image coordinates in another unit."""
     return dataclasses.replace(foreign, rays=foreign.rays._replace(xy=foreign.rays.xy * factor))
 
 
 def transposed(foreign: ForeignBlock) -> ForeignBlock:
-    """The same block with transposed rotations."""
+    """Returns the block with transposed rotations."""
     turned = np.swapaxes(foreign.images.rotation, 1, 2)
     return dataclasses.replace(foreign, images=foreign.images._replace(rotation=turned))
 

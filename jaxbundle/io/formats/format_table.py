@@ -41,8 +41,8 @@ class Format(NamedTuple):
     read: Reader | None
     write: Writer | None
     suffix: str = ""
-    """Suffix of the file that `convert` writes in this format; "" for a folder. A suffix with two points does not
-    follow from the name of the output."""
+    """Suffix of the file that `convert` writes in this format; "" for a folder. A suffix with two points
+    does not follow from the name of the output."""
 
 
 def _colmap_text(block: Block, path: Path) -> list[str]:

@@ -1,7 +1,7 @@
-"""Writes a project of Inpho (.prj), with the keys that inpho.py reads.
+"""Writing a project of Inpho (.prj), with the keys that inpho.py reads.
 
-Cameras are px cameras free of distortion: A = ((1/s, 0, x0 - 0.5), (0, -1/s, y0 - 0.5)) with the pixel size s in mm.
-Image coordinates are in mm from the principal point, y up. Of other lenses they are written corrected.
+Cameras are px cameras without distortion: A = ((1/s, 0, x0 - 0.5), (0, -1/s, y0 - 0.5)) with the pixel size s in mm.
+Image coordinates are in mm from the principal point, y up. For other lenses they are corrected.
 """
 
 from pathlib import Path
@@ -13,16 +13,16 @@ from jaxbundle.io.formats.foreign_block import ForeignBlock, element
 from jaxbundle.io.formats.photo_rows import written_names
 from jaxbundle.io.formats.written import NOMINAL_PIXEL, foreign_block, in_pixels, is_free, losses_of_block
 
-NAME_LENGTH = 40  # characters of a point or photo
-TIME = "00:00:00 01/01/2000"  # of an orientation: a block has none
-POINT = "1.00 2 { * }"  # standard deviation and kind of a measured point, as other writers have them
+NAME_LENGTH = 40  # maximum number of characters of a point or photo
+TIME = "00:00:00 01/01/2000"  # time of an orientation, which a block does not have
+POINT = "1.00 2 { * }"  # standard deviation and kind of a measured point, as in other writers
 FULL = 3  # kind of a control point in plan and height
 
 
 def write_inpho(block: Block, path: Path) -> list[str]:
-    """Writes one file.
+    """Writes a project as one file.
 
-    Returns: what has no place there.
+    Returns: sentences about what the format cannot represent.
     """
     own, written = foreign_block(block), in_pixels(block, is_free)
     foreign = written.foreign

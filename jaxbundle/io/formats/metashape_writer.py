@@ -1,7 +1,7 @@
-"""Writes cameras and markers for Metashape: XML as it exports them, and references of markers as CSV.
+"""Writing cameras and markers for Metashape: XML in its export format, and references of markers as CSV.
 
 The chunk has no transform: its system is that of the object. A marker is a control or check point with its rays; tie
-points stay behind, as Metashape takes them from no other program.
+points are not written, because Metashape cannot import them.
 """
 
 import csv
@@ -19,13 +19,13 @@ from jaxbundle.io.formats.written import in_pixels, losses_of_block
 VERSION = "1.5.0"
 TERMS = {"k1": "K1", "k2": "K2", "k3": "K3", "k4": "K4", "p1": "P1", "p2": "P2", "b1": "b1", "b2": "b2"}
 HEADER = ("#Label", "X", "Y", "Z", "sX", "sY", "sZ", "Enabled")
-HELD = 1e-6  # object unit: the standard deviation of a held coordinate, for 0 is no accuracy there
+HELD = 1e-6  # object unit: the standard deviation of a fixed coordinate, because Metashape does not accept 0
 
 
 def write_metashape(block: Block, path: Path) -> list[str]:
-    """Writes one XML file, and NAME-reference.csv beside it.
+    """Writes one XML file, and NAME-reference.csv in the same folder.
 
-    Returns: what has no place there.
+    Returns: sentences about what the format cannot represent.
     """
     written = in_pixels(block, lambda camera: camera.model is METASHAPE)
     foreign, losses = written.foreign, list(written.losses)
@@ -84,7 +84,7 @@ def _markers(chunk: ElementTree.Element, foreign: ForeignBlock, losses: list[str
             given |= {f"s{axis}": f"{_sigma(s):.17g}" for axis, s in zip("xyz", row.sigmas, strict=True)}
             ElementTree.SubElement(marker, "reference", given | {"enabled": "false" if row.check else "true"})
         else:
-            losses.append(f"the reference of {row.name}, of which not all coordinates are known")
+            losses.append(f"the reference of {row.name}, because one of its coordinates is unknown")
         one = ElementTree.SubElement(measured, "marker", marker_id=str(k))
         for r in np.flatnonzero(foreign.rays.point == position[row.name]).tolist():
             x, y = (f"{value:.17g}" for value in foreign.rays.xy[r])

@@ -1,10 +1,10 @@
-"""ORIMA: image coordinates as rows, and a table of exterior elements beside them.
+"""Reading ORIMA: rows of image coordinates, and a table of exterior elements in the same folder.
 
     NAME.txt, NAME.ori    image point x y flag M|A       mm, image centre, y up
     NAME.csv              filename,x,y,z,omega,phi,kappa[,camera]       deg, R_x R_y R_z object_from_image
 
-The rows hold neither orientations nor cameras: the table, --interior F,X0,Y0 in px, --image-size W,H and --pixel-size
-tell them. Source: MicMac, which writes and reads such rows.
+The rows contain neither orientations nor cameras: these come from the table, --interior F,X0,Y0 in px, --image-size
+W,H and --pixel-size. Source: MicMac, which writes and reads such rows.
 """
 
 import csv
@@ -25,7 +25,7 @@ from jaxbundle.io.formats.source import AGAIN, lines_of, numbers
 from jaxbundle.io.noted import Noted
 from jaxbundle.io.text_files import UnreadableError, file_bytes
 
-HEAD = 400  # bytes that hold the first rows
+HEAD = 400  # bytes that contain the first rows
 ROW = re.compile(rb"\s*\S+\s+\S+\s+[+-]?\d+\.?\d*\s+[+-]?\d+\.?\d*\s+\d+\s+[MA]\s*(\r?\n|$)")
 
 
@@ -38,9 +38,9 @@ def is_orima(path: Path) -> bool:
 
 
 def read_orima(path: Path, options: ReadOptions = DEFAULT) -> ForeignBlock:
-    """The block of rows and their table.
+    """Reads the block of rows and their table.
 
-    Raises: BlockError with all that is wrong or missing.
+    Raises: BlockError with all problems.
     """
     table = path.with_suffix(".csv")
     if not table.is_file():

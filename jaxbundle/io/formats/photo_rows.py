@@ -1,6 +1,6 @@
-"""Rows of photographs as BINGO, PATB and Pix4D have them: a head, points x y, and -99 at the end of each photograph.
+"""Rows of photographs of BINGO, PATB and Pix4D: a head, points x y, and -99 at the end of each photograph.
 
-These programs take short names without blanks: others are numbered, and names.csv says which number stands for which.
+These programs require short names without blanks: other names become numbers, which names.csv explains.
 """
 
 from collections.abc import Callable
@@ -60,7 +60,7 @@ def photo_rows(
 
 
 def short_names(names: tuple[str, ...], length: int = NAME_LENGTH) -> tuple[tuple[str, ...], bool]:
-    """Names without blanks and of at most so many characters; others are numbered, and whether one was."""
+    """Names without blanks and with few characters; other names become numbers. Returns whether one did."""
     good = all(name and len(name) <= length and not any(c.isspace() for c in name) and name != END for name in names)
     plain = good and not any(name.startswith(("#", "*", "-", "$")) for name in names)
     return (names, False) if plain else (tuple(str(k + 1) for k in range(len(names))), True)
@@ -69,7 +69,7 @@ def short_names(names: tuple[str, ...], length: int = NAME_LENGTH) -> tuple[tupl
 def written_names(
     foreign: ForeignBlock, folder: Path, losses: list[str], length: int = NAME_LENGTH
 ) -> tuple[tuple[str, ...], tuple[str, ...]]:
-    """Names of images and points as they are written; where some are numbered, names.csv and a loss say so."""
+    """Written names of images and points; if some are numbers, names.csv and a sentence explain them."""
     images, renamed = short_names(foreign.images.names, length)
     points, numbered = short_names(foreign.points.names, length)
     if renamed or numbered:

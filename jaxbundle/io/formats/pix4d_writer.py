@@ -1,4 +1,4 @@
-"""Writes the params folder of Pix4Dmapper: calibrated cameras, exterior orientations, offset, and tie points in px.
+"""Writing the params folder of Pix4Dmapper: calibrated cameras, exterior orientations, offset, and tie points in px.
 
 m = K [R | -R t] (X - offset)       R world to camera, x right, y down, z forward
 """
@@ -16,7 +16,7 @@ from jaxbundle.io.formats.written import in_pixels, losses_of_block
 
 NAME_LENGTH = 255  # characters; names with blanks are numbered
 EXTERNAL_HEADER = "imageName X Y Z Omega Phi Kappa"
-HEADER = (  # eight lines, which readers pass over
+HEADER = (  # eight lines, which readers skip
     "fileName imageWidth imageHeight",
     "camera matrix K [3x3]",
     "radial distortion [3x1]",
@@ -33,9 +33,9 @@ def _holds(camera: ForeignCamera) -> bool:
 
 
 def write_pix4d(block: Block, path: Path) -> list[str]:
-    """Writes the files into a folder, named like it.
+    """Writes the files into a folder, with its name.
 
-    Returns: what has no place there.
+    Returns: sentences about what the format cannot represent.
     """
     written = in_pixels(block, _holds)
     foreign, losses = written.foreign, list(written.losses)

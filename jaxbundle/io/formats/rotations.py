@@ -34,7 +34,7 @@ ROUNDING = 1e-3  # tolerance of R R^T: matrices printed with four digits; larger
 
 
 def phi_omega_kappa(phi: Array, omega: Array, kappa: Array) -> Rotation:
-    """R_y(phi) R_x(omega) R_z(kappa)."""
+    """The rotation matrix R_y(phi) R_x(omega) R_z(kappa)."""
     return product(product(about_y(phi), about_x(omega)), about_z(kappa))
 
 

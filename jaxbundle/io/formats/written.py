@@ -238,7 +238,7 @@ def losses_of_block(block: Block, holds: frozenset[str]) -> list[str]:
             losses.append(f"{counted(len(group.structure.indices), 'row')} of {group.structure.kind.table}")
     if "control" not in holds and not s.point_free.all():
         held = int((~s.point_free.all(1)).sum())
-        losses.append(f"that {counted(held, 'control point')} {'is' if held == 1 else 'are'} held")
+        losses.append(f"that {counted(held, 'control point')} {'is' if held == 1 else 'are'} fixed")
     if "control" not in holds and len(s.check_point):
         losses.append(f"{counted(len(s.check_point), 'check point')}")
     if "sigmas" not in holds and np.ptp(on_host(block.rays.sigmas)) > 0:

@@ -49,7 +49,7 @@ def write_ply(features: Features, path: Path) -> None:
         told_offset(offset),
         f"points without finite coordinates left out: {int((~usable).sum())}",
         "class: 0 tie point, 1 control point, 2 check point",
-        "largest_w: largest |w| / sigma0 of the rays",
+        "largest_w: maximum |w| / sigma0 of the rays",
     ]
     lines = [f"element vertex {len(data)}", *(f"property {NAMES[kind]} {name}" for name, kind in fields)]
     content = ply_header(comments, lines, "binary_little_endian") + data.tobytes()

@@ -46,7 +46,7 @@ class Seen(NamedTuple):
 
     @property
     def images(self) -> int:
-        """Number of images."""
+        """Number of images of the block."""
         return len(self.centres)
 
 
@@ -273,7 +273,7 @@ def _products(images: Int[np.ndarray, " tile"]) -> Int[np.ndarray, " tile"]:
 
 
 def _joined(position: Int[np.ndarray, " ray"], seen: Seen, width: int) -> Int[np.ndarray, " position"]:
-    """Tile of every position along the curve: rows of `width`, halved repeatedly if that saves products."""
+    """Tile of each position along the curve: rows of `width`, halved repeatedly if that saves products."""
     points = seen.points
     tile = np.arange(points)
     fewest = _products(np.bincount(position, minlength=points))

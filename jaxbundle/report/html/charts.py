@@ -45,7 +45,7 @@ def histogram_chart(histogram: Histogram, name: str, log: bool = False) -> str:
 def quantile_chart(quantiles: np.ndarray, name: str) -> str:
     """Quantiles of the residuals over those of the normal distribution: equal quantiles lie on the line."""
     bounds = limits(np.append(quantiles.ravel(), [-3, 3]))
-    axes = Axes(bounds, bounds, height=386)  # as wide as it is high inside of its margins
+    axes = Axes(bounds, bounds, height=386)  # width equal to height inside the margins
     line = axes.line(np.array(bounds), np.array(bounds), "line expected")
     marks = [
         tag("circle", titled(f"normal {a:.2f}, residual {b:.2f}"), cx=float(axes.u(a)), cy=float(axes.v(b)), r=2.4)

@@ -17,8 +17,8 @@ from jaxbundle.report.pictures.vector_pictures import rows_of
 MAX_TIES = 250_000  # maximum number of points for the script; evenly spread if there are more
 MAX_NAMED = 10_000  # maximum number of points with names in the page
 GRID = 65535
-ROWS_OF_GRID = 256  # the points are packed in strips of so many steps in Y
-SHADES = 63  # of precision: an eye cannot tell neighbours apart
+ROWS_OF_GRID = 256  # the points are packed in strips with this number of steps in Y
+SHADES = 63  # shades of precision: neighbouring shades cannot be distinguished
 DIGITS = 6  # digits of a coordinate in the data: a millionth of the block
 DIGITS_OF_OUTLINES = 4
 
@@ -81,8 +81,11 @@ def _table_rows(figures: Figures) -> dict[int, str]:
 
 
 def _grid(xyz: Float[np.ndarray, "point 3"]) -> tuple[Int[np.ndarray, "point 3"], Float[np.ndarray, "2 3"]]:
-    """Positions on a grid of 16 bits, its origin and its size. Of many points, which have no names in the page, the
-    steps are the same in X, Y and Z: most blocks are flat, so that few heights differ."""
+    """Positions on a grid of 16 bits, its origin and its size.
+
+    Of many points, which have no names in the page, the steps are the same in X, Y and Z: most blocks are flat, so that
+    few heights differ.
+    """
     bounds = np.array([limits(column, 0.0) for column in xyz.T])
     low, size = bounds[:, 0], bounds[:, 1] - bounds[:, 0]
     if len(xyz) > MAX_NAMED:

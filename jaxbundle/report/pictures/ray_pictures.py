@@ -14,7 +14,7 @@ QUANTILES = 101
 CELLS = (24, 36)  # maximum number of rows and columns of a residual field
 RAYS_OF_CELL = 12  # average number of rays per cell, so that the mean of a cell exceeds its noise
 COVERAGE = 6  # rows and columns of the grid for the coverage of the format
-INWARD = 1e-9  # residuals beyond the widest class are counted just inside of it
+INWARD = 1e-9  # residuals beyond the widest class are counted in the outermost class
 
 
 class Histogram(NamedTuple):

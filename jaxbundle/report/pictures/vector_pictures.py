@@ -23,7 +23,7 @@ CE90, LE90 = 1.5175, 1.6449  # ratios of CE90 and LE90 to the rms of a normal er
 
 
 class Vectors(NamedTuple):
-    """Points with differences.
+    """Points with differences and their expected sizes.
 
     `expected`: sigma of control, predicted sd of check points. `ratio`: |w| / sigma0 of control, t of check points. NaN
     where not observed or not known.

@@ -309,7 +309,7 @@ def test_what_is_lost_is_said(tmp_path):
     held = dataclasses.replace(
         made("free", NAMES, np.zeros(3)), control=(Known("K 1", (1.0, 2.0, 3.0), (0.0, 0.0, 0.0)),)
     )
-    assert write_format(assembled(held), tmp_path / "held", "opensfm") == ("that 1 control point is held",)
+    assert write_format(assembled(held), tmp_path / "held", "opensfm") == ("that 1 control point is fixed",)
     with pytest.raises(ValueError, match="format 'las' is not written; known: colmap, colmap-text"):
         write_format(block, tmp_path / "x", "las")
 
