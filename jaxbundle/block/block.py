@@ -35,7 +35,13 @@ DISTANCES, COORDINATES = (
 
 @dataclass(frozen=True)
 class Camera:
-    """Static data of one camera. `image_unit`: "px" (v down) or "mm" (y up); sizes in px, None where unknown."""
+    """Static data of one camera. `image_unit`: "px" (v down) or "mm" (y up); sizes in px, None where unknown.
+
+    Example:
+        >>> camera = block.structure.cameras[0]
+        >>> camera.name, camera.image_unit, camera.model.name
+        ('drone', 'px', 'none')
+    """
 
     name: str
     model: CameraModel
@@ -72,6 +78,10 @@ class Parameter:
 
     `unit`: unit in reports, "" if there is none; `angle`: whether it is an angle, internally in radians. `owner`: the
     object that it describes, if any; several parameters may have the same owner.
+
+    Example:
+        >>> jb.blocks.Parameter("refraction scale", unit="", free=False)
+        Parameter(name='refraction scale', unit='', free=False, angle=False, owner=None)
     """
 
     name: str
@@ -93,6 +103,10 @@ class Datum:
 
     For a free network: `points` of the inner constraints, all points if empty. `constraints`, their number, is 0 until
     the package has chosen elements that it fixes temporarily.
+
+    Example:
+        >>> block.structure.datum.kind
+        'open'
     """
 
     kind: str
@@ -124,6 +138,10 @@ class Structure:
 
     Columns of `exterior_free` are X0, Y0, Z0 and the three angles of `rotation_system`; columns of `interior_free` are
     the elements of each camera's model, padded with False.
+
+    Example:
+        >>> block.structure.image_names, block.structure.point_names[:3]
+        (('11', '12', '21', '22'), ('A', 'B', 'C'))
     """
 
     name: str
@@ -190,20 +208,36 @@ class Structure:
 
 
 class ExteriorOrientation(eqx.Module):
-    """Projection centres in the object system, angles in radians in the block's rotation system."""
+    """Projection centres in the object system, angles in radians in the block's rotation system.
+
+    Example:
+        >>> block.exterior.projection_centre.shape, np.degrees(block.exterior.angles[2])
+        ((4, 3), array([  0.,   0., 180.]))
+    """
 
     projection_centre: Float[Array, "image 3"]
     angles: Float[Array, "image 3"]
 
 
 class InteriorOrientation(eqx.Module):
-    """Interior elements of each camera, in the order of its model, padded with ones."""
+    """Interior elements of each camera, in the order of its model, padded with ones.
+
+    Example:
+        >>> elements = block.structure.cameras[0].model.elements
+        >>> dict(zip(elements, block.interior.elements[0].tolist()))["principal_distance"]
+        4000.0
+    """
 
     elements: Float[Array, "camera element"]
 
 
 class Rays(eqx.Module):
-    """Measurements of each ray (image coordinates, for photographs) and the standard deviations of its residuals."""
+    """Measurements of each ray (image coordinates, for photographs) and the standard deviations of its residuals.
+
+    Example:
+        >>> block.rays.coordinates.shape, block.rays.sigmas[0]
+        ((32, 2), Array([0.5, 0.5], dtype=float64))
+    """
 
     coordinates: Float[Array, "ray number"]
     """In the unit of the camera's rays."""
@@ -211,14 +245,26 @@ class Rays(eqx.Module):
 
 
 class CheckPoints(eqx.Module):
-    """Known coordinates that are not used in the adjustment; NaN where a coordinate is unknown."""
+    """Known coordinates that are not used in the adjustment; NaN where a coordinate is unknown.
+
+    Example:
+        >>> block.check_points.coordinates.shape, block.structure.check_point
+        ((1, 3), array([4], dtype=int32))
+    """
 
     coordinates: Float[Array, "check 3"]
     sigmas: Float[Array, "check 3"]
 
 
 class Block(Facade):
-    """A block: structure (static) and values (leaves). `object_points` and orientations are approximate or adjusted."""
+    """A block: structure (static) and values (leaves). `object_points` and orientations are approximate or adjusted.
+
+    Example:
+        >>> block
+        <Block quarry: 4 images, 8 points, 32 rays, 1 camera, 12 control>
+        >>> block.points["E"].coordinates.shape
+        (3,)
+    """
 
     structure: Structure = eqx.field(static=True)
     exterior: ExteriorOrientation

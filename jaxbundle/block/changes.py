@@ -21,7 +21,12 @@ def with_findings(block: Block, findings: Iterable[Finding]) -> Block:
 
 
 def with_interior_held(block: Block) -> Block:
-    """The block with all interior elements fixed at their values."""
+    """The block with all interior elements fixed at their values.
+
+    Example:
+        >>> bool(jb.blocks.with_interior_held(block).structure.interior_free.any())
+        False
+    """
     require_a(Block, block, "blocks.with_interior_held")
     structure = dataclasses.replace(block.structure, interior_free=np.zeros_like(block.structure.interior_free))
     return dataclasses.replace(block, structure=structure)

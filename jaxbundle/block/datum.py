@@ -34,6 +34,10 @@ def with_datum(block: Block) -> Block:
     S-transformation.
 
     Raises: BlockError where control exists but leaves a part of the datum undetermined.
+
+    Example:
+        >>> jb.blocks.with_datum(block).structure.datum.kind
+        'control'
     """
     require_a(Block, block, "blocks.with_datum")
     structure = block.structure

@@ -51,6 +51,10 @@ class DatumDefect:
 
     `parameters`: names of parameters of the block that are involved; `moves`: points with the maximum displacements;
     `fixed`: observed points and images without displacement, such as control points on the axis of a rotation.
+
+    Example:
+        >>> jb.blocks.datum_defect(block).count
+        0
     """
 
     count: int
@@ -188,7 +192,12 @@ def null_space(block: Block) -> Float[np.ndarray, "column defect"]:
 
 
 def datum_defect(block: Block) -> DatumDefect:
-    """The datum defect that control, observed stations, distances and fixed elements leave."""
+    """The datum defect that control, observed stations, distances and fixed elements leave.
+
+    Example:
+        >>> jb.blocks.datum_defect(block).count
+        0
+    """
     require_a(Block, block, "blocks.datum_defect")
     directions = null_space(block)
     names = [parameter.name for parameter in block.structure.parameters]

@@ -17,7 +17,12 @@ from typing import NamedTuple
 
 
 class Severity(IntEnum):
-    """Severity of a finding, the most severe first."""
+    """Severity of a finding, the most severe first.
+
+    Example:
+        >>> min(jb.blocks.Severity).label
+        'failed'
+    """
 
     FAILED = 0
     CHECK = 1
@@ -30,7 +35,12 @@ class Severity(IntEnum):
 
 
 class Kind(Enum):
-    """All kinds of findings, with words and severity. The order is that of a report: causes come first."""
+    """All kinds of findings, with words and severity. The order is that of a report: causes come first.
+
+    Example:
+        >>> jb.blocks.Kind.SIGMAS.title, jb.blocks.Kind.SIGMAS.severity.label
+        ('sigmas of a group', 'check')
+    """
 
     # before the adjustment, from the input values
     FORMAT = "rays and image format", Severity.FAILED
@@ -92,6 +102,10 @@ class Subject(NamedTuple):
     """Subject of a finding: a table of the block folder, the names of a row and, for one component, its name.
 
     ("rays", ("8811", "333")) is image and point; ("control", ("422",), "Z"); ("cameras", ("scan",), "x0").
+
+    Example:
+        >>> jb.blocks.Subject("control", ("A",), "Z")
+        Subject(table='control', names=('A',), component='Z')
     """
 
     table: str
@@ -106,6 +120,12 @@ class Finding:
     `what` is a sentence without a full stop: what is wrong, where, and how much with its unit. `cure`: what to do, ""
     if nothing. `size` and `unit`: the main number, such as the size of an error. `severity`: that of the kind by
     default.
+
+    Example:
+        >>> what = "sigma of point A is 0.001 m"
+        >>> finding = jb.blocks.Finding(jb.blocks.Kind.SIGMAS, what, "check it", size=0.001, unit="m")
+        >>> finding.severity.name, finding.cure
+        ('CHECK', 'check it')
     """
 
     kind: Kind

@@ -136,11 +136,33 @@ def geodetic_kind(name: str, start: str = "point", end: str = "point") -> Observ
     """Returns a kind by the name of its table; `start` and `end` are "point" or "image".
 
     Raises: KeyError for an unknown name.
+
+    Example:
+        >>> jb.observations.geodetic_kind("distances", "point", "image").touches
+        ('point', 'image')
     """
     components, residual, more = _BETWEEN[name]
     return ObservationKind(name, components, (start, end, *more), residual, angles=name in ANGLES)
 
 
 DISTANCES = geodetic_kind("distances")
+"""Observed distances between two points.
+
+Example:
+    >>> jb.observations.DISTANCES.touches
+    ('point', 'point')
+"""
 PLANES = ObservationKind("planes", ("distance",), ("point", *["parameter"] * 3), _plane, constants=FRAME)
+"""Points that lie in a plane.
+
+Example:
+    >>> jb.observations.PLANES.components
+    ('distance',)
+"""
 LINES = ObservationKind("lines", ("across 1", "across 2"), ("point", *["parameter"] * 4), _line, constants=FRAME)
+"""Points that lie on a straight line.
+
+Example:
+    >>> jb.observations.LINES.components
+    ('across 1', 'across 2')
+"""

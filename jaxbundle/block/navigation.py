@@ -48,7 +48,19 @@ GNSS_STATIONS = ObservationKind(
     constants=("time",),
     table="stations",
 )
+"""Observed projection centres with lever arm, shift and drift as parameters.
+
+Example:
+    >>> jb.observations.GNSS_STATIONS.table, jb.observations.GNSS_STATIONS.components
+    ('stations', ('X0', 'Y0', 'Z0'))
+"""
 ATTITUDES = {
     system.name: ObservationKind("attitudes", system.angles, _TOUCHES, residual, constants=("time",), angles=True)
     for system, residual in ((OMEGA_PHI_KAPPA, _omega_phi_kappa), (ALPHA_OMEGA_KAPPA, _alpha_omega_kappa))
 }
+"""Observed attitudes of images by the name of the rotation system, with boresight, shift and drift as parameters.
+
+Example:
+    >>> jb.observations.ATTITUDES["omega-phi-kappa"].components
+    ('omega', 'phi', 'kappa')
+"""

@@ -39,6 +39,14 @@ class ObservationKind:
     `constants`: names of additional numbers of each member; X, Y, Z are object coordinates. `angles`: whether its
     components are angles, here in radians, in reports in the angle unit of the block. `table`: the table of a block
     folder with its rows, if its name differs from that of the kind.
+
+    Example:
+        >>> def height(touched, constants):
+        ...     (point,) = touched
+        ...     return (point[2],)
+        >>> kind = jb.observations.ObservationKind("heights", ("Z",), ("point",), height)
+        >>> kind.components
+        ('Z',)
     """
 
     name: str
@@ -106,6 +114,11 @@ class ObservationGroup(eqx.Module):
     Components that are not observed have sigma 1 and weight 0.
 
     `covariances`: matrix of the components of each member, which replaces `sigmas`; None without correlations.
+
+    Example:
+        >>> group = block.groups[0]
+        >>> group.structure.kind.name, group.values.shape
+        ('control', (4, 3))
     """
 
     structure: GroupStructure = eqx.field(static=True)
@@ -157,12 +170,35 @@ def _interior(camera: tuple[Scalar, ...], observed: tuple[Scalar, ...]) -> tuple
 
 
 CONTROL = ObservationKind("control", ("X", "Y", "Z"), ("point",), _coordinates, in_object_system=True)
+"""Observed coordinates of object points.
+
+Example:
+    >>> jb.observations.CONTROL.components, jb.observations.CONTROL.touches
+    (('X', 'Y', 'Z'), ('point',))
+"""
 STATIONS = ObservationKind("stations", ("X0", "Y0", "Z0"), ("image",), _projection_centre, in_object_system=True)
+"""Observed projection centres.
+
+Example:
+    >>> jb.observations.STATIONS.components
+    ('X0', 'Y0', 'Z0')
+"""
 PARAMETERS = ObservationKind("parameters", ("value",), ("parameter",), _parameter)
+"""Observed values of parameters of a block.
+
+Example:
+    >>> jb.observations.PARAMETERS.touches
+    ('parameter',)
+"""
 
 
 def interior_priors(elements: tuple[str, ...]) -> ObservationKind:
-    """The kind of observed interior elements, for cameras with these elements or with their number."""
+    """The kind of observed interior elements, for cameras with these elements or with their number.
+
+    Example:
+        >>> jb.observations.interior_priors(("principal_distance", "x0", "y0")).components
+        ('principal_distance', 'x0', 'y0')
+    """
     return ObservationKind("interior", elements, ("camera",), _interior)
 
 
@@ -174,7 +210,15 @@ def observation_group(
     constants: Float[np.ndarray, "member constant"] | None = None,
     covariances: Float[np.ndarray, "member component component"] | None = None,
 ) -> ObservationGroup:
-    """Makes a group from arrays; NaN marks a component that is not observed."""
+    """Makes a group from arrays; NaN marks a component that is not observed.
+
+    Example:
+        >>> group = jb.observations.observation_group(
+        ...     jb.observations.DISTANCES, np.array([[0, 1]]), np.array([[87.4]]), np.array([[0.01]])
+        ... )
+        >>> group.values.shape
+        (1, 1)
+    """
     observed = np.isfinite(values) & np.isfinite(sigmas)
     structure = GroupStructure(kind, np.asarray(indices, np.int32), observed)
     constants = np.zeros((len(values), 0)) if constants is None else constants

@@ -22,6 +22,11 @@ class Problem:
     """A problem, its cure, and its position: a table of the block and a row in it (counted from 0).
 
     `count`: number of affected rows; the first one is `row`.
+
+    Example:
+        >>> problem = jb.blocks.Problem("sZ of point A is 0", "give a positive number", "control", 0)
+        >>> problem.what, problem.row
+        ('sZ of point A is 0', 0)
     """
 
     what: str
@@ -36,7 +41,15 @@ class Problem:
 
 
 class BlockError(ValueError):
-    """The error for bad input, with all problems of a block. `lines`: with file and line, or table and row."""
+    """The error for bad input, with all problems of a block. `lines`: with file and line, or table and row.
+
+    Example:
+        >>> try:
+        ...     jb.read("no_folder")
+        ... except jb.BlockError as error:
+        ...     print(len(error.problems))
+        1
+    """
 
     def __init__(self, problems: list[Problem], lines: list[str] | None = None):
         self.problems = tuple(problems)

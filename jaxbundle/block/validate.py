@@ -14,7 +14,12 @@ from jaxbundle.block.problems import BlockError, Problem
 
 
 def validate(block: Block) -> list[Problem]:
-    """Problems of a concrete block, in the best order to solve them."""
+    """Problems of a concrete block, in the best order to solve them.
+
+    Example:
+        >>> jb.blocks.validate(block)
+        []
+    """
     require_a(Block, block, "blocks.validate")
     wrong = inconsistencies(block)
     if wrong:

@@ -26,6 +26,12 @@ _MODELS = (
     EUCM,
 )
 CAMERA_MODELS = {model.name: model for model in _MODELS}
+"""All camera models by name.
+
+Example:
+    >>> jb.cameras.CAMERA_MODELS["brown"].elements[:3]
+    ('principal_distance', 'x0', 'y0')
+"""
 
 
 def named_model(model: CameraModel) -> CameraModel | None:

@@ -35,5 +35,12 @@ def central_projection(photo_vector: Vector, principal_distance: Scalar) -> tupl
 def collinearity(
     rotation: Rotation, projection_centre: Vector, object_point: Vector, principal_distance: Scalar
 ) -> tuple[Scalar, Scalar]:
-    """Equation (161): the image point (x - x0, y - y0) of an object point (Kraus 2007, eq. 5.3-4)."""
+    """Equation (161): the image point (x - x0, y - y0) of an object point (Kraus 2007, eq. 5.3-4).
+
+    Example:
+        >>> level = (1.0, 0.0, 0.0, 0.0, 1.0, 0.0, 0.0, 0.0, 1.0)
+        >>> x, y = jb.collinearity(level, (0.0, 0.0, 100.0), (20.0, -10.0, 0.0), 50.0)
+        >>> x, y
+        (10.0, -5.0)
+    """
     return central_projection(photo_vector(rotation, projection_centre, object_point), principal_distance)

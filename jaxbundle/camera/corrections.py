@@ -33,7 +33,12 @@ ATMOSPHERE = 100_000.0  # m: above this there is no atmosphere; a larger flying 
 
 @cache
 def with_corrections(model: CameraModel) -> CameraModel:
-    """The model with two additional fixed interior elements: `refraction` K (rad) and `earth_curvature` H / 2R."""
+    """The model with two additional fixed interior elements: `refraction` K (rad) and `earth_curvature` H / 2R.
+
+    Example:
+        >>> jb.cameras.with_corrections(jb.cameras.CAMERA_MODELS["none"]).elements
+        ('principal_distance', 'x0', 'y0', 'pixel_size', 'y_axis', 'refraction', 'earth_curvature')
+    """
 
     def residual(interior: tuple[Scalar, ...], photo_vector: Vector, measured: Measured) -> Residual:
         *own, refraction, earth_curvature = interior
@@ -58,6 +63,10 @@ def refraction_coefficient(flying_height: float, ground_height: float) -> float:
         mean n    12.7    34.3    58.9    75.3    22.3    37.1    45.8
 
     Raises: ValueError for invalid heights.
+
+    Example:
+        >>> round(1e6 * jb.cameras.refraction_coefficient(3500.0, 500.0), 1)
+        34.3
     """
     _require_heights(flying_height, ground_height)
     H, h = flying_height / 1000, ground_height / 1000
@@ -68,6 +77,10 @@ def curvature_coefficient(flying_height: float, ground_height: float) -> float:
     """The coefficient H / 2R, from heights above sea level in metres; H is the flying height above ground.
 
     Raises: ValueError for invalid heights.
+
+    Example:
+        >>> round(jb.cameras.curvature_coefficient(3500.0, 500.0), 6)
+        0.000235
     """
     _require_heights(flying_height, ground_height)
     return (flying_height - ground_height) / (2 * EARTH_RADIUS)

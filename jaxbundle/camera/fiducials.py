@@ -36,7 +36,15 @@ Points = Float[np.ndarray, "point 2"]
 
 
 class FiducialError(ValueError):
-    """The error for fiducials that do not determine a transformation: `what` is wrong, and its `cure`."""
+    """The error for fiducials that do not determine a transformation: `what` is wrong, and its `cure`.
+
+    Example:
+        >>> try:
+        ...     jb.cameras.inner_orientation("8811", "affine", ("1",), [[10.0, 12.0]], [[-106.0, 106.0]])
+        ... except jb.cameras.FiducialError as error:
+        ...     print(error.what)
+        image 8811 has 1 fiducial, too few for the affine transformation
+    """
 
     def __init__(self, what: str, cure: str) -> None:
         super().__init__(f"{what}; {cure}")
@@ -48,6 +56,13 @@ class InnerOrientation:
     """The fit of one image. `residuals`: transformed - calibrated, mm, in the order of `fiducials`.
 
     `matrix` takes (u, v, 1) in px to (x, y, 1) in mm times a factor; its last element is 1.
+
+    Example:
+        >>> scan = np.array([[0, 0], [4, 0], [4, 4], [0, 4.0]])
+        >>> calibrated = np.array([[-1, 1], [1, 1], [1, -1], [-1, -1.0]])
+        >>> fit = jb.cameras.inner_orientation("8811", "affine", ("1", "2", "3", "4"), scan, calibrated)
+        >>> fit.transformation, bool(abs(fit.residuals).max() < 1e-9)
+        ('affine', True)
     """
 
     image: str
@@ -104,6 +119,13 @@ def inner_orientation(
     """The transformation of one image from its measured fiducials (px) to the calibrated ones (mm).
 
     Raises: FiducialError if they are too few or do not determine it.
+
+    Example:
+        >>> scan = np.array([[0, 0], [4, 0], [4, 4], [0, 4.0]])
+        >>> calibrated = np.array([[-1, 1], [1, 1], [1, -1], [-1, -1.0]])
+        >>> fit = jb.cameras.inner_orientation("8811", "affine", ("1", "2", "3", "4"), scan, calibrated)
+        >>> [round(float(x), 6) for x in fit.matrix @ [2.0, 2.0, 1.0]]
+        [0.0, 0.0, 1.0]
     """
     few = fewest_fiducials(transformation)
     better = f"measure at least {few}, better {few + 1}"

@@ -42,7 +42,13 @@ HELD = (*SENSOR, *CORRECTIONS, "grid_base", "R0")  # they define a model or its 
 
 @dataclass(frozen=True)
 class CameraModel:
-    """A camera model, or another sensor that measures points in its own axes."""
+    """A camera model, or another sensor that measures points in its own axes.
+
+    Example:
+        >>> model = jb.cameras.CAMERA_MODELS["brown"]
+        >>> model.name, model.components
+        ('brown', 2)
+    """
 
     name: str
     elements: tuple[str, ...]

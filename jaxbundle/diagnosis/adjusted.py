@@ -37,6 +37,10 @@ def findings(adjustment: Adjustment, start: Block | None = None) -> tuple[Findin
     Findings that forbid its use come first; causes precede consequences.
 
     `start`: the block before the adjustment; if given, the causes of a failed convergence are searched for.
+
+    Example:
+        >>> [finding.kind.name for finding in jb.findings(result)]
+        []
     """
     found = [*adjustment.findings, *robust_findings(adjustment)]
     told = () if of_kind(adjustment.failures, *MISLEADING) else _of_residuals(adjustment)

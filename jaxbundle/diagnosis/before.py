@@ -22,7 +22,12 @@ from jaxbundle.orientation.start_findings import found_orientations
 
 
 def plausibility(block: Block) -> tuple[Finding, ...]:
-    """Findings about implausible numbers of a concrete block, by severity, causes first."""
+    """Findings about implausible numbers of a concrete block, by severity, causes first.
+
+    Example:
+        >>> jb.blocks.plausibility(block)
+        ()
+    """
     return prepared(block)[1] if block.concrete else ()
 
 
@@ -32,6 +37,11 @@ def prepared(block: Block) -> tuple[Block, tuple[Finding, ...]]:
     Orientations that are not given are computed from the rays, and so are absurd ones that no resection replaces.
 
     Approximate values are replaced only where the numbers used for the check are plausible.
+
+    Example:
+        >>> checked, found = jb.blocks.prepared(block)
+        >>> found
+        ()
     """
     if not block.concrete or not len(block.structure.ray_image) or not block.structure.model.photographs:
         return block, ()

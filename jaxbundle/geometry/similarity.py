@@ -15,7 +15,13 @@ from jaxtyping import Array, Bool, Float
 
 
 class Similarity(eqx.Module):
-    """A similarity transformation X = scale * rotation x + translation."""
+    """A similarity transformation X = scale * rotation x + translation.
+
+    Example:
+        >>> move = jb.orientation.Similarity(jnp.array(2.0), jnp.eye(3), jnp.array([1.0, 0.0, 0.0]))
+        >>> move.scale * move.rotation @ jnp.ones(3) + move.translation
+        Array([3., 2., 2.], dtype=float64)
+    """
 
     scale: Float[Array, "*solution"]
     """Ratio of a length in the object system to the length in the model."""

@@ -6,7 +6,15 @@ from jaxbundle.block.problems import Problem, printable
 
 
 class ImageError(ValueError):
-    """The error for unusable photographs, with all problems. The `table` of a problem is the path of the image."""
+    """The error for unusable photographs, with all problems. The `table` of a problem is the path of the image.
+
+    Example:
+        >>> try:
+        ...     jb.imagery.photograph("quarry/rays.csv")
+        ... except jb.imagery.ImageError as error:
+        ...     print(error.problems[0].cure)
+        give a whole JPEG, PNG or TIFF file
+    """
 
     def __init__(self, problems: Sequence[Problem]):
         self.problems = tuple(problems)

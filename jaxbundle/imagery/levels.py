@@ -29,6 +29,10 @@ def halved(image: Num[np.ndarray, "row column *channel"]) -> Num[np.ndarray, "ro
         image: 8 or 16 bit or floating point, grey or with channels.
 
     Returns: half as many rows and columns, rounded up, of the same type.
+
+    Example:
+        >>> jb.imagery.halved(np.array([[10, 12, 9], [14, 12, 9]], np.uint8))
+        array([[12,  9]], dtype=uint8)
     """
     rows, columns = image.shape[:2]
     if rows % 2 or columns % 2:
@@ -45,7 +49,7 @@ def level_sizes(rows: int, columns: int, smallest: int = SMALLEST) -> tuple[tupl
     """Rows and columns of all levels, until the longer side is at most `smallest`.
 
     Example:
-        >>> level_sizes(513, 641)
+        >>> jb.imagery.level_sizes(513, 641)
         ((513, 641), (257, 321), (129, 161))
     """
     sizes = [(rows, columns)]
@@ -58,7 +62,7 @@ def between_levels(coordinates: T, from_level: int, to_level: int) -> T:
     """Converts image coordinates from one level to another; also lengths and standard deviations in px.
 
     Example:
-        >>> between_levels(10.5, 0, 1)
+        >>> jb.imagery.between_levels(10.5, 0, 1)
         5.25
     """
     return coordinates * 2.0 ** (from_level - to_level)

@@ -16,7 +16,12 @@ SIGNIFICANT = 3.0  # limit in standard deviations
 
 
 class Refusal(IntEnum):
-    """Reason of the refusal of a match; MATCHED for an accepted one."""
+    """Reason of the refusal of a match; MATCHED for an accepted one.
+
+    Example:
+        >>> jb.imagery.Refusal(0).name
+        'MATCHED'
+    """
 
     MATCHED = 0
     NO_TEXTURE = 1
@@ -50,7 +55,12 @@ Parameters = Literal["shift", "affine", "tested"]
 
 
 class MatchOptions(NamedTuple):
-    """Options of least-squares matching."""
+    """Options of least-squares matching.
+
+    Example:
+        >>> jb.imagery.MatchOptions(parameters="affine").max_iterations
+        20
+    """
 
     parameters: Parameters = "tested"
     """"shift": position and radiometry; "affine": six affine parameters and radiometry; "tested": affine only if a
@@ -71,7 +81,14 @@ DEFAULT = MatchOptions()
 
 
 class Matches(eqx.Module):
-    """Results of matching windows in other images; one row per match. Lengths in px."""
+    """Results of matching windows in other images; one row per match. Lengths in px.
+
+    Example:
+        >>> start = [[17.5, 1, 0, 17.5, 0, 1]]
+        >>> found = jb.imagery.match(texture[None, 12:23, 12:23], texture[None], [[5.5, 5.5]], start)
+        >>> found.position.shape, found.covariance.shape
+        ((1, 2), (1, 2, 2))
+    """
 
     position: Float[Array, "*match 2"]
     """x, y of the reference point in the searched window."""

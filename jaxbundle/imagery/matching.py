@@ -94,8 +94,10 @@ def match(
     Raises: ValueError for arrays with other shapes or without float64.
 
     Example:
-        >>> found = match(f[None], g[None], [[10.5, 10.5]], [[20.5, 1, 0, 20.5, 0, 1]])  # doctest: +SKIP
-        >>> found.position[0], found.sigmas[0], Refusal(int(found.status[0])).words  # doctest: +SKIP
+        >>> start = [[17.8, 1, 0, 17.3, 0, 1]]
+        >>> found = jb.imagery.match(texture[None, 12:23, 12:23], texture[None], [[5.5, 5.5]], start)
+        >>> np.round(found.position[0], 3), jb.imagery.Refusal(int(found.status[0])).name
+        (Array([17.5, 17.5], dtype=float64), 'MATCHED')
     """
     prepare_jax()
     pairs = Pair(*(jnp.asarray(x, float) for x in (templates, searched, references, starts)))

@@ -30,7 +30,12 @@ ORIENTATION = 274  # EXIF tag of the orientation
 
 @dataclass(frozen=True)
 class Photograph:
-    """An image file and its size."""
+    """An image file and its size.
+
+    Example:
+        >>> jb.imagery.photograph("photo.png").shape
+        (35, 35)
+    """
 
     path: Path
     """Path of the file."""
@@ -60,6 +65,11 @@ def photograph(path: str | Path) -> Photograph:
     """Reads the header of an image file.
 
     Raises: ImageError for a file that is not an image; FileNotFoundError.
+
+    Example:
+        >>> photo = jb.imagery.photograph("photo.png")
+        >>> photo.rows, photo.columns, photo.channels
+        (35, 35, 1)
     """
     path = Path(path)
     with open(path, "rb") as file:

@@ -28,7 +28,12 @@ BLOCK = 1 << 20  # bytes per read
 
 @dataclass(frozen=True)
 class Pyramid:
-    """A pyramid in a file. Level 0 is the photograph itself."""
+    """A pyramid in a file. Level 0 is the photograph itself.
+
+    Example:
+        >>> jb.imagery.pyramid("photo.png").sizes[:2]
+        ((35, 35),)
+    """
 
     path: Path
     """The tiled TIFF."""
@@ -93,7 +98,8 @@ def pyramid(path: str | Path, folder: str | Path | None = None, *, compression: 
     Raises: ImageError for an incomplete image; OSError if the pyramid cannot be written.
 
     Example:
-        >>> overview = jb.imagery.pyramid("8937.jpg").level(4)  # doctest: +SKIP
+        >>> jb.imagery.pyramid("photo.png").level(0).shape
+        (35, 35)
     """
     path = Path(path)
     folder = path.parent / FOLDER if folder is None else Path(folder)

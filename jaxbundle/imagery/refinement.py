@@ -33,7 +33,12 @@ TEMPLATE = -1  # status of a ray in the image of the template
 
 
 class Refinement(NamedTuple):
-    """Result of remeasuring rays."""
+    """Result of remeasuring rays.
+
+    Example:
+        >>> jb.imagery.Refinement._fields
+        ('block', 'status', 'matches', 'rays')
+    """
 
     block: Block
     """The block with the new image coordinates and standard deviations."""

@@ -35,7 +35,12 @@ PLANE = 3  # number of unknowns
 
 
 class OrientedWindow(NamedTuple):
-    """Windows of oriented images: fields with a leading axis for several images."""
+    """Windows of oriented images: fields with a leading axis for several images.
+
+    Example:
+        >>> jb.imagery.OrientedWindow._fields
+        ('grey', 'corner', 'interior', 'rotation', 'centre')
+    """
 
     grey: Float[Array, "*image row column"]
     corner: Float[Array, "*image 2"]
@@ -47,7 +52,12 @@ class OrientedWindow(NamedTuple):
 
 
 class TiedMatch(NamedTuple):
-    """An object point and its surface from the grey values of all its images."""
+    """An object point and its surface from the grey values of all its images.
+
+    Example:
+        >>> jb.imagery.TiedMatch._fields[:3]
+        ('object_point', 'covariance', 'normal')
+    """
 
     object_point: Float[Array, "3"]
     covariance: Float[Array, "3 3"]

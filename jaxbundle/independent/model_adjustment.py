@@ -35,7 +35,13 @@ Pairs = Sequence[tuple[str, str]]
 
 
 class ModelAdjustment(NamedTuple):
-    """The result of the function `adjust_models`."""
+    """The result of the function `adjust_models`.
+
+    Example:
+        >>> found = jb.independent.adjust_models(block)
+        >>> found.adjustment.success, found.block
+        (True, <Block quarry: 4 images, 8 points, 32 rays, 1 camera, 12 control>)
+    """
 
     adjustment: Adjustment
     """The adjustment of the models: its images are the models, with names "first-second", its points are the object

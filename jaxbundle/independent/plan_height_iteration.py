@@ -49,7 +49,13 @@ LEVELLED = CameraModel("levelled model", ("scale",), _weighted, components=3, nu
 
 
 class PlanHeight(NamedTuple):
-    """The result of the function `plan_height`."""
+    """The result of the function `plan_height`.
+
+    Example:
+        >>> found = jb.independent.plan_height(block)
+        >>> found.object_points.shape[1]
+        3
+    """
 
     points: Int[np.ndarray, " point"]
     """Indices of the object points in the block of photographs."""

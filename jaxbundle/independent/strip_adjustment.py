@@ -61,7 +61,14 @@ class Corrected(NamedTuple):
 
 
 class StripAdjustment(NamedTuple):
-    """The result of the function `adjust_strips`."""
+    """The result of the function `adjust_strips`.
+
+    Example:
+        >>> strips = jb.simulate(1, 5, control_rows=3, control_sigma=0.02).block
+        >>> found = jb.independent.adjust_strips(strips)
+        >>> found.adjustment.success, len(found.strips)
+        (True, 1)
+    """
 
     adjustment: Adjustment
     """The adjustment of the strips: its images are the strips, its interior elements are the coefficients, lengths in

@@ -52,6 +52,11 @@ def read_bal(path: str | Path, estimate_interior: bool = True) -> Block:
     `estimate_interior`: f, k1, k2 of each camera are unknown, otherwise fixed.
 
     Raises: BlockError with all problems of the file.
+
+    Example:
+        >>> jb.io.write_bal(bal, "small.txt")
+        >>> jb.io.read_bal("small.txt")
+        <Block small: 3 images, 5 points, 15 rays, 3 cameras>
     """
     text = _plain(require_bytes(Path(path)))
     cameras, points, observations = _counts(Path(path).name, text)
@@ -225,6 +230,11 @@ def write_bal(block: Block, path: str | Path) -> None:
     """Writes images, points and rays; the format has no sigmas, no control and no fixed unknowns.
 
     Raises: BlockError where a camera has a model other than `bal`.
+
+    Example:
+        >>> jb.io.write_bal(bal, "small.txt")
+        >>> Path("small.txt").read_text().split()[:3]
+        ['3', '5', '15']
     """
     require_a(Block, block, "io.write_bal")
     structure = block.structure

@@ -47,6 +47,10 @@ def read_block_folder(path: str | Path, *, check_start: bool = True) -> Block:
     `check_start`: as for `read`. Without it, orientations that are not given are NaN, as `approximate` expects them.
 
     Raises: BlockError with all problems.
+
+    Example:
+        >>> jb.io.read_block_folder("quarry")
+        <Block quarry: 4 images, 8 points, 32 rays, 1 camera, 12 control>
     """
     folder, noted = Path(path), Noted()
     if not folder.is_dir():

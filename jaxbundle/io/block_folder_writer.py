@@ -36,6 +36,11 @@ def write_block_folder(block: Block, path: str | Path) -> None:
     observed parameter or interior element is written with its observed value, which then is its approximate value.
 
     Raises: BlockError where the block has a camera model or a kind of observation that format 1 does not have.
+
+    Example:
+        >>> jb.write_block_folder(result.block, "adjusted")
+        >>> len(jb.read("adjusted").points)
+        8
     """
     require_a(Block, block, "write_block_folder")
     _require_writable(block)

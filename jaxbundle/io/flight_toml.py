@@ -45,7 +45,7 @@ class PlannedFlight(NamedTuple):
 
 
 def read_flight(path: str | Path) -> PlannedFlight:
-    """Reads a planned flight from a file.
+    r"""Reads a planned flight from a file.
 
     Args:
         path: flight.toml, or a folder that contains it.
@@ -54,7 +54,11 @@ def read_flight(path: str | Path) -> PlannedFlight:
 
     Raises: BlockError with all problems of the file, each with its line and its cure.
 
-    Example: `simulate_flight(read_flight("flight.toml").plan)`
+    Example:
+        >>> text = '[camera]\nname = "film-153"\n[flight]\nstrips = 2\nimages = 5\nheight = 900\n'
+        >>> _ = Path("flight.toml").write_text(text)
+        >>> jb.io.read_flight("flight.toml").plan.strips
+        2
     """
     file, noted = Path(path), Noted()
     file = file / "flight.toml" if file.is_dir() else file

@@ -27,8 +27,10 @@ def read(path: str | Path, *, check_start: bool = True, sources: Sources | None 
     Raises: BlockError with all problems, or where the path has no known format.
 
     Example:
-
-        >>> block = jb.read("colmap/sparse/0", sources=jb.io.Sources(control=Path("gcp_list.txt")))
+        >>> block = jb.read("quarry")
+        >>> _ = jb.io.write_format(block, "project", "colmap")
+        >>> len(jb.read("project", sources=jb.io.Sources(format="colmap")).images)
+        4
     """
     path, sources = Path(path), sources or Sources()
     form = _format(path, sources)

@@ -27,7 +27,12 @@ Told = Callable[[str], None]
 
 
 class MeasureOptions(NamedTuple):
-    """Options of the measurement of photographs."""
+    """Options of the measurement of photographs.
+
+    Example:
+        >>> jb.measuring.MeasureOptions(level=2).level
+        2
+    """
 
     level: int = 1
     """Level of the pyramids for the detection of points."""
@@ -40,7 +45,12 @@ class MeasureOptions(NamedTuple):
 
 
 class Measured(NamedTuple):
-    """Result of the measurement of photographs."""
+    """Result of the measurement of photographs.
+
+    Example:
+        >>> jb.measuring.Measured._fields
+        ('photos', 'rays', 'stations', 'findings')
+    """
 
     photos: PhotoSet
     rays: MeasuredRays

@@ -42,7 +42,12 @@ class PhotoSet(NamedTuple):
 
 
 class CameraGiven(NamedTuple):
-    """Camera data from the user; None means the EXIF data."""
+    """Camera data from the user; None means the EXIF data.
+
+    Example:
+        >>> jb.measuring.CameraGiven()
+        CameraGiven(principal_distance=None, sensor_width=None)
+    """
 
     principal_distance: float | None = None
     """px."""
@@ -51,9 +56,14 @@ class CameraGiven(NamedTuple):
 
 
 def read_positions(path: Path) -> dict[str, Station]:
-    """Reads stations by the names of their images: a CSV table with image, latitude, longitude (deg), altitude (m).
+    r"""Reads stations by the names of their images: a CSV table with image, latitude, longitude (deg), altitude (m).
 
     Raises: ImageError for a table without these columns or with a field that is not a number.
+
+    Example:
+        >>> _ = Path("positions.csv").write_text("image,latitude,longitude,altitude\na.jpg,52.5,13.4,120.0\n")
+        >>> jb.measuring.read_positions(Path("positions.csv"))
+        {'a.jpg': Station(latitude=52.5, longitude=13.4, altitude=120.0)}
     """
     try:
         table = pl.read_csv(path, infer_schema=False)

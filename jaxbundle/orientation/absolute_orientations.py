@@ -26,7 +26,14 @@ MIRRORED_PART = 1e-3
 
 
 class AbsoluteOrientation(eqx.Module):
-    """Result of `absolute_orientation`. Angles in radians, lengths in the unit of the object system."""
+    """Result of `absolute_orientation`. Angles in radians, lengths in the unit of the object system.
+
+    Example:
+        >>> model = [[0, 0, 5], [0, 2, 5], [-2, 0, 5], [-2, 2, 5.2]]
+        >>> found = jb.orientation.absolute_orientation(model, 3.0 * np.array(model) + 10.0)
+        >>> round(float(found.similarity.scale), 6), bool(found.determined)
+        (3.0, True)
+    """
 
     similarity: Similarity
     """The chosen orientation."""
@@ -106,7 +113,7 @@ def absolute_orientation(
         >>> import jaxbundle as jb
         >>> model = [[0, 0, 0], [1, 0, 0], [0, 1, 0], [1, 1, 0.1]]
         >>> found = jb.orientation.absolute_orientation(model, [[0, 0, 5], [0, 2, 5], [-2, 0, 5], [-2, 2, 5.2]])
-        >>> float(found.similarity.scale)
+        >>> round(float(found.similarity.scale), 6)
         2.0
     """
     prepare_jax()

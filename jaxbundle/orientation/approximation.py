@@ -62,7 +62,13 @@ class OrientedPart(NamedTuple):
 
 @dataclass(frozen=True, eq=False)
 class Approximation:
-    """Approximate values of a block, and the method of their computation."""
+    """Approximate values of a block, and the method of their computation.
+
+    Example:
+        >>> start = jb.approximate(block)
+        >>> start.way.name, start.block
+        ('GIVEN', <Block quarry: 4 images, 8 points, 32 rays, 1 camera, 12 control>)
+    """
 
     block: Block
     """The block with its approximate values; an orientation that could not be computed is NaN."""

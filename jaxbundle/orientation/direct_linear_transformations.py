@@ -28,7 +28,14 @@ ELEMENTS = ("c", "c'", "s", "x0", "y0", "X0", "Y0", "Z0")
 
 
 class DirectLinearTransformation(eqx.Module):
-    """Interior and exterior orientation of an image; lengths in the image in the unit of its coordinates."""
+    """Interior and exterior orientation of an image; lengths in the image in the unit of its coordinates.
+
+    Example:
+        >>> x = np.array([[0, 0, 0], [9, 0, 1], [0, 9, 2], [9, 9, 4], [4, 5, 3], [2, 7, 0.5]])
+        >>> found = jb.orientation.direct_linear_transformation(x, -100 * (x[:, :2] - 4) / (x[:, 2:] - 20))
+        >>> np.round(found.principal_distances, 6), bool(found.determined)
+        (Array([100., 100.], dtype=float64), True)
+    """
 
     projection_centre: Float[Array, "3"]
     """Projection centre in the unit of the object points."""
@@ -104,7 +111,8 @@ def direct_linear_transformation(
         >>> import numpy as np, jaxbundle as jb
         >>> x = np.array([[0, 0, 0], [9, 0, 1], [0, 9, 2], [9, 9, 4], [4, 5, 3], [2, 7, 0.5]])
         >>> found = jb.orientation.direct_linear_transformation(x, -100 * (x[:, :2] - 4) / (x[:, 2:] - 20))
-        >>> found.projection_centre
+        >>> np.round(found.projection_centre, 6)
+        Array([ 4.,  4., 20.], dtype=float64)
     """
     prepare_jax()
     count = np.shape(object_points)[0] if np.ndim(object_points) else 0

@@ -79,9 +79,9 @@ def approximate(block: Block, *, anew: bool = False) -> Approximation:
 
     Example:
         >>> import jaxbundle as jb
-        >>> start = jb.approximate(jb.read("folder", check_start=False))
-        >>> print(start.summary())
-        >>> result = jb.adjust(start.block)
+        >>> start = jb.approximate(jb.read("quarry", check_start=False))
+        >>> jb.adjust(start.block).success
+        True
     """
     prepare_jax()
     require_a(Block, block, "approximate")

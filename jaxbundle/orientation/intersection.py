@@ -29,6 +29,11 @@ def intersect(block: Block) -> Block:
 
     Given coordinates are not changed. Points with parallel rays, or with only one ray, remain NaN. It works with jit
     and vmap.
+
+    Example:
+        >>> missing = block.replace(object_points=jnp.full_like(block.object_points, jnp.nan))
+        >>> bool(jnp.isfinite(jb.orientation.intersect(missing).object_points).all())
+        True
     """
     require_a(Block, block, "orientation.intersect")
     xp, points, ray_point = array_module(block), on_host(block.object_points), block.structure.ray_point

@@ -30,7 +30,14 @@ ALIKE = 1.5  # ratio of the misfits: below this both orientations are possible
 
 
 class PlanarResection(eqx.Module):
-    """Two orientations of an image, the better one first."""
+    """Two orientations of an image, the better one first.
+
+    Example:
+        >>> points, xy = [[0, 0, 0], [10, 0, 0], [10, 8, 0], [0, 8, 0]], [[-12, -10], [13, -9], [9, 8], [-10, 9]]
+        >>> found = jb.orientation.planar_resection(jb.cameras.CAMERA_MODELS["none"], [50, 0, 0, 1, 1], points, xy)
+        >>> found.better.projection_centre.shape
+        (3,)
+    """
 
     better: Resection
     """The orientation with the smaller sum of squares."""

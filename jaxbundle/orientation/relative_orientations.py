@@ -34,7 +34,16 @@ UNDETERMINED = 1e-12  # ratio of minimum and maximum eigenvalue of the normal eq
 
 
 class RelativeOrientation(eqx.Module):
-    """Result of `relative_orientation`. Angles in radians; the unit of lengths is that of the base."""
+    """Result of `relative_orientation`. Angles in radians; the unit of lengths is that of the base.
+
+    Example:
+        >>> x = np.array([[0, 0, -5], [1, 0, -6], [0, 1, -5], [1, 1, -6], [0, -1, -4], [1, -1, -5]])
+        >>> image = lambda x: -100 * x[:, :2] / x[:, 2:]
+        >>> camera = jb.cameras.CAMERA_MODELS["none"], [100, 0, 0, 1, 1]
+        >>> found = jb.orientation.relative_orientation(*camera, image(x), image(x - [1, 0, 0]))
+        >>> bool(abs(found.elements).max() < 1e-6)
+        True
+    """
 
     convention: str = eqx.field(static=True)
     """`dependent` or `independent`."""

@@ -31,6 +31,13 @@ class Resection(eqx.Module):
 
     `cofactors`: of X0, Y0, Z0 and the three angles; times sigma0^2 they are covariances. `residuals`: in the unit of
     the rays, y up, 0 for unused points. Without redundancy (three points) sigma0 is NaN.
+
+    Example:
+        >>> x = np.array([[0.0, 0, 0], [9, 0, 1], [9, 7, 0], [0, 7, 2], [4, 3, 1]])
+        >>> xy = -100 * (x[:, :2] - [4, 3]) / (x[:, 2:] - 20)
+        >>> found = jb.orientation.resection(jb.cameras.CAMERA_MODELS["none"], [100, 0, 0, 1, 1], x, xy)
+        >>> found.residuals.shape, int(found.redundancy)
+        ((5, 2), 4)
     """
 
     projection_centre: Float[Array, "*image 3"]
@@ -88,6 +95,13 @@ def resection(
     points are required, as three have up to four solutions. It works with jit, vmap and grad.
 
     Raises: ValueError for invalid input, or without float64.
+
+    Example:
+        >>> x = np.array([[0.0, 0, 0], [9, 0, 1], [9, 7, 0], [0, 7, 2], [4, 3, 1]])
+        >>> xy = -100 * (x[:, :2] - [4, 3]) / (x[:, 2:] - 20)
+        >>> found = jb.orientation.resection(jb.cameras.CAMERA_MODELS["none"], [100, 0, 0, 1, 1], x, xy)
+        >>> np.round(found.projection_centre, 6)
+        Array([ 4.,  3., 20.], dtype=float64)
     """
     prepare_jax()
     _require(model, interior, object_points, coordinates, start)

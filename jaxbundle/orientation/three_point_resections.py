@@ -15,7 +15,14 @@ ON_CYLINDER = 1e-2  # determinant: below this an error of a direction is enlarge
 
 
 class ThreePointResection(eqx.Module):
-    """Up to four solutions, in the first axis; NaN for missing ones."""
+    """Up to four solutions, in the first axis; NaN for missing ones.
+
+    Example:
+        >>> points = [[0, 0, 0], [90, 0, 5], [0, 99, 0]]
+        >>> found = jb.orientation.three_point_resection(points, [[-30, -40, -200], [70, -40, -200], [-30, 60, -195]])
+        >>> int(np.isfinite(found.distances[:, 0]).sum())
+        4
+    """
 
     rotation: Float[Array, "*image 4 3 3"]
     """Rotation matrices object_from_image."""
@@ -66,7 +73,8 @@ def three_point_resection(
         >>> import jaxbundle as jb
         >>> points = [[0, 0, 0], [100, 0, 0], [0, 100, 5]]
         >>> found = jb.orientation.three_point_resection(points, [[-30, -40, -200], [70, -40, -200], [-30, 60, -195]])
-        >>> found.projection_centre[found.exact]
+        >>> np.round(found.projection_centre[found.exact], 6)[1]
+        Array([ 30.,  40., 200.], dtype=float64)
     """
     prepare_jax()
     if np.shape(object_points) != (3, 3) or np.shape(directions) != (3, 3):

@@ -26,7 +26,12 @@ EQUAL = (1.0, 1.0, 1.0)
 
 
 class Specification(NamedTuple):
-    """A specification: maximum standard deviations of X, Y (each) and Z, object unit, for a share of the points."""
+    """A specification: maximum standard deviations of X, Y (each) and Z, object unit, for a share of the points.
+
+    Example:
+        >>> jb.planning.Specification(xy=0.05, z=0.08).share
+        0.95
+    """
 
     xy: float
     z: float
@@ -34,7 +39,13 @@ class Specification(NamedTuple):
 
 
 class Check(NamedTuple):
-    """The check of a prediction against a specification."""
+    """The check of a prediction against a specification.
+
+    Example:
+        >>> check = jb.planning.check_specification(prediction, jb.planning.Specification(xy=1.0, z=2.0))
+        >>> check.passed
+        True
+    """
 
     share_xy: float
     share_z: float
@@ -72,7 +83,12 @@ def judged_points(block: Block) -> Bool[np.ndarray, " point"]:
 
 
 def in_area(block: Block, plan: FlightPlan) -> Points:
-    """Mask of the relevant points of a flight: within its area, if there is one, and not control."""
+    """Mask of the relevant points of a flight: within its area, if there is one, and not control.
+
+    Example:
+        >>> jb.planning.in_area(flight.truth, plan).dtype
+        dtype('bool')
+    """
     judged = judged_points(block)
     if not plan.area:
         return judged
@@ -88,7 +104,12 @@ def point_variances(prediction: Prediction, points: Points | None = None) -> Flo
 
 
 def mean_variance(weights: Weights = EQUAL, points: Points | None = None) -> Measure:
-    """The mean variance of the selected points, X, Y and Z weighted: the criterion A of optimal design."""
+    """The mean variance of the selected points, X, Y and Z weighted: the criterion A of optimal design.
+
+    Example:
+        >>> bool(jb.planning.mean_variance()(prediction) > 0)
+        True
+    """
     w = np.asarray(weights) / np.sum(weights)
     return lambda prediction: jnp.mean(point_variances(prediction, points) @ w)
 
@@ -97,6 +118,10 @@ def smooth_worst(sharpness: float = 20.0, weights: Weights = EQUAL, points: Poin
     """A smooth maximum of the weighted variances of the points, (1/beta) log mean exp(beta variance).
 
     beta is `sharpness` divided by the maximum variance: the result is at most log(points) / beta below the maximum.
+
+    Example:
+        >>> bool(jb.planning.smooth_worst()(prediction) > jb.planning.mean_variance()(prediction))
+        True
     """
     w = np.asarray(weights) / np.sum(weights)
 
@@ -109,7 +134,12 @@ def smooth_worst(sharpness: float = 20.0, weights: Weights = EQUAL, points: Poin
 
 
 def smooth_share(specification: Specification, width: float = 0.1, points: Points | None = None) -> Measure:
-    """The share of points within a specification, each counted by a logistic step of this relative width."""
+    """The share of points within a specification, each counted by a logistic step of this relative width.
+
+    Example:
+        >>> round(float(jb.planning.smooth_share(jb.planning.Specification(xy=1.0, z=2.0))(prediction)), 3)
+        1.0
+    """
     limits = np.array([specification.xy, specification.xy, specification.z])
 
     def measure(prediction: Prediction) -> Array:
@@ -124,6 +154,10 @@ def check_specification(prediction: Prediction, specification: Specification, po
     """Checks whether enough points meet a specification; `points`: by default all but control.
 
     Raises: ValueError for limits that are not positive or a share that is not from 0 to 1.
+
+    Example:
+        >>> jb.planning.check_specification(prediction, jb.planning.Specification(xy=1e-6, z=1e-6)).share
+        0.0
     """
     if not (specification.xy > 0 and specification.z > 0 and 0 < specification.share <= 1):
         raise ValueError(f"{specification}: give positive limits in the object unit and a share from 0 to 1")
@@ -134,7 +168,12 @@ def check_specification(prediction: Prediction, specification: Specification, po
 
 
 def summary_of(prediction: Prediction, points: Points | None = None) -> Summary:
-    """A few statistics of the selected points, by default all but control."""
+    """A few statistics of the selected points, by default all but control.
+
+    Example:
+        >>> type(jb.planning.summary_of(prediction)).__name__
+        'Summary'
+    """
     points = judged_points(prediction.block) if points is None else points
     deviations = np.sqrt(np.asarray(point_variances(prediction, points)))
     names = np.array(prediction.block.structure.point_names)[points]

@@ -68,6 +68,11 @@ def candidates_of(
         judged: the points whose precision counts; by default all with unknown coordinates.
 
     Raises: ValueError for an unknown kind, points that do not exist, or too many candidates for the memory.
+
+    Example:
+        >>> candidates = jb.planning.candidates_of(flight.truth, np.arange(4), (0.02, 0.02, 0.03), prior=100.0)
+        >>> candidates.points
+        array([0, 1, 2, 3])
     """
     if kind not in CONTROL_KINDS:
         raise ValueError(f"control of kind {kind!r} is unknown; there are {', '.join(CONTROL_KINDS)}")

@@ -24,7 +24,12 @@ GAIN = 1e-9  # minimum relative gain of an exchange
 
 
 class Objective(NamedTuple):
-    """The objective: the "mean" or the "worst" of the points' variances, X, Y, Z weighted."""
+    """The objective: the "mean" or the "worst" of the points' variances, X, Y, Z weighted.
+
+    Example:
+        >>> jb.planning.Objective("worst").weights
+        (1.0, 1.0, 1.0)
+    """
 
     criterion: str = "mean"
     weights: tuple[float, float, float] = (1.0, 1.0, 1.0)
@@ -39,7 +44,13 @@ class Objective(NamedTuple):
 
 
 class Layout(NamedTuple):
-    """A layout of control points and its result."""
+    """A layout of control points and its result.
+
+    Example:
+        >>> candidates = jb.planning.candidates_of(flight.truth, np.arange(4), (0.02, 0.02, 0.03), prior=100.0)
+        >>> jb.planning.best_layout(candidates, 3, bound=False).points.shape
+        (3,)
+    """
 
     points: Int[np.ndarray, " chosen"]
     """Indices of the points of the block that become control."""
@@ -68,6 +79,12 @@ def best_layout(candidates: Candidates, count: int, objective: Objective = MEAN,
         bound: whether the lower bound is computed; for the mean, and control with errors.
 
     Raises: ValueError for more points than candidates or an unknown criterion.
+
+    Example:
+        >>> candidates = jb.planning.candidates_of(flight.truth, np.arange(4), (0.02, 0.02, 0.03), prior=100.0)
+        >>> layout = jb.planning.best_layout(candidates, 3)
+        >>> bool(layout.bound <= layout.objective)
+        True
     """
     total = len(candidates.points)
     if not 1 <= count <= total:

@@ -26,7 +26,12 @@ from jaxbundle.planning.prediction import predict
 
 
 class Stretch(NamedTuple):
-    """Relative changes of a flight: along and across its strips, and in height; 0 means no change."""
+    """Relative changes of a flight: along and across its strips, and in height; 0 means no change.
+
+    Example:
+        >>> jb.planning.Stretch(height=0.1)
+        Stretch(along=0.0, across=0.0, height=0.1)
+    """
 
     along: Array | float = 0.0
     across: Array | float = 0.0
@@ -67,7 +72,10 @@ def derivatives_of(block: Block, plan: FlightPlan, measure: Measure) -> Derivati
     Returns: the derivatives. To decrease the measure, change the parameters against the sign of the derivatives.
     Overlaps change the distances of stations and of all points, including control.
 
-    Example: `derivatives_of(simulate_flight(plan).truth, plan, mean_variance()).control_positions`
+    Example:
+        >>> found = jb.planning.derivatives_of(flight.truth, plan, jb.planning.mean_variance())
+        >>> found.control_positions.shape
+        (4, 3)
     """
     zero = Stretch(*map(jnp.asarray, (0.0, 0.0, 0.0)))
 
@@ -109,6 +117,11 @@ def stretched(block: Block, plan: FlightPlan, stretch: Stretch) -> Block:
 
     Stations and points are stretched about their centre, along and across the strips; a relative change of the height
     stretches both and raises the stations over the ground. Heights of points are constant.
+
+    Example:
+        >>> higher = jb.planning.stretched(flight.truth, plan, jb.planning.Stretch(height=0.1))
+        >>> bool(higher.exterior.projection_centre[0, 2] > flight.truth.exterior.projection_centre[0, 2])
+        True
     """
     angle = math.pi / 2 - plan.headings[0]
     axes = on_device(np.array([[math.cos(angle), math.sin(angle)], [-math.sin(angle), math.cos(angle)]]))
@@ -146,6 +159,12 @@ def steepest_positions(
         steps: maximum number of steps.
 
     Returns: the block with its control moved, and the measure before and after each step.
+
+    Example:
+        >>> corner, measure = np.array([0]), jb.planning.mean_variance()
+        >>> better, measures = jb.planning.steepest_positions(flight.truth, corner, measure, 10.0, steps=1)
+        >>> bool(measures[-1] <= measures[0])
+        True
     """
     block = with_datum(block)  # selected outside jit
     start = np.asarray(block.object_points)[points, :2]

@@ -31,6 +31,10 @@ class AerialCamera:
     model; by default "brown" with `coefficients`, otherwise "none". Elements in `estimate` are unknown and start from
     the centre of the format, from coefficients 0 and from a principal distance 0.2 % too long. `errors`: true minus
     given values of fixed elements, such as from an old calibration.
+
+    Example:
+        >>> jb.planning.AerialCamera(principal_distance=100.0, width=104.0, height=68.0, pixel_size=0.006).pixel_size
+        0.006
     """
 
     principal_distance: float = 153.0
@@ -85,6 +89,10 @@ class Terrain:
 
     `relief`: range of independent random heights of the points; `heights`: a function of X and Y, arrays in object
     units, that is added.
+
+    Example:
+        >>> jb.planning.Terrain(heights=jb.planning.slope(0.1, 0.0)).relief
+        0.0
     """
 
     relief: float = 0.0
@@ -102,6 +110,10 @@ class Ties:
     `layout`: "jittered", a grid whose points are shifted at random, "grid", "random", or "schematic", columns at the
     stations and `rows` rows per strip distance, among them the axes of the strips. Control and check points of a
     schematic layout are at the nearest tie points.
+
+    Example:
+        >>> jb.planning.Ties("grid", points_per_image=40).layout
+        'grid'
     """
 
     layout: str = "jittered"
@@ -118,6 +130,10 @@ class ControlSet:
     bases and a point in each side lap; "points": `points`, X and Y in object units.
 
     `kind`: "full", "plan" or "height". `sigmas` of X, Y, Z; 0 fixes a coordinate.
+
+    Example:
+        >>> jb.planning.ControlSet("corners", sigmas=(0.02, 0.02, 0.03)).kind
+        'full'
     """
 
     layout: str = "rows"
@@ -141,6 +157,10 @@ class Navigation:
     Their true values are drawn with the standard deviations `shift` and `drift` (per exposure). `offset`: lever arm
     from the projection centre to the antenna in the image system, or boresight angles; `offset_unknown`: the block
     estimates it.
+
+    Example:
+        >>> jb.planning.Navigation((0.05, 0.05, 0.1), "strip").systematic
+        'strip'
     """
 
     sigmas: tuple[float, ...]
@@ -158,7 +178,12 @@ class Navigation:
 
 @dataclass(frozen=True)
 class GrossErrors:
-    """Gross errors: a share of the rays has an additional error of `size` standard deviations in x or y."""
+    """Gross errors: a share of the rays has an additional error of `size` standard deviations in x or y.
+
+    Example:
+        >>> jb.planning.FlightPlan(gross_errors=jb.planning.GrossErrors(share=0.01)).gross_errors.size
+        20.0
+    """
 
     share: float = 0.0
     size: float = 20.0
@@ -173,6 +198,10 @@ class FlightPlan:
     computed for each of `headings`. `cross_strips` are flown across all strips at these shares of their length. `tilt`
     and `scatter` (share of the height) are standard deviations of angles and stations relative to their nominal values.
     `check_points`: a number of tie points, or X and Y of points. `noise` scales all random errors.
+
+    Example:
+        >>> jb.planning.FlightPlan(strips=3, images=10, height=900.0).forward_overlap
+        0.6
     """
 
     strips: int = 1
@@ -218,7 +247,10 @@ def schematic(**changes: object) -> FlightPlan:
     153 mm, 230 x 230 mm, 60 % and 20 % overlap, no errors, tie points in columns at the stations and in rows at the
     axes of the strips and half-way. The keywords are the fields of `FlightPlan`.
 
-    Example: `schematic(strips=5, images=11, control=(ControlSet("corners"),))`
+    Example:
+        >>> plan = jb.planning.schematic(strips=5, images=11, control=(jb.planning.ControlSet("corners"),))
+        >>> plan.strips, plan.side_overlap
+        (5, 0.2)
     """
     nominal = FlightPlan(
         side_overlap=0.2,

@@ -30,7 +30,13 @@ DEVIATIONS = 4.0  # limit of the mean over all coordinates in its standard devia
 
 
 class MonteCarlo(NamedTuple):
-    """Comparison of the scatter of many adjustments about the truth with the prediction."""
+    """Comparison of the scatter of many adjustments about the truth with the prediction.
+
+    Example:
+        >>> runs = jb.planning.monte_carlo(flight.truth, 20)
+        >>> runs.draws, runs.converged
+        (20, 20)
+    """
 
     draws: int
     converged: int
@@ -71,7 +77,10 @@ def monte_carlo(block: Block, draws: int = 500, seed: int = 0) -> MonteCarlo:
 
     Raises: TypeError for an object that is not a Block; ValueError for fewer than 20 draws.
 
-    Example: `monte_carlo(simulate_flight(plan).truth, 500).passed`
+    Example:
+        >>> runs = jb.planning.monte_carlo(flight.truth, 20)
+        >>> runs.ratios.shape == flight.truth.object_points.shape
+        True
     """
     require_a(Block, block, "planning.monte_carlo")
     if draws < 20:

@@ -41,6 +41,10 @@ class Prediction(eqx.Module):
 
     `linearised` is the block with its exact observations as an adjustment without iterations, for functions of
     an adjustment that need neither residuals nor sigma0, such as `jb.statistics.reliability`.
+
+    Example:
+        >>> prediction.standard_deviations.object_points.shape == flight.truth.object_points.shape
+        True
     """
 
     linearised: Adjustment
@@ -95,7 +99,10 @@ def predict(block: Block) -> Prediction:
     Raises: TypeError for an object that is not a Block; BlockError with all problems of the block; ValueError without
         float64.
 
-    Example: `jb.planning.predict(jb.simulate(3, 10).truth).standard_deviations.object_points`
+    Example:
+        >>> prediction = jb.planning.predict(flight.truth)
+        >>> bool((prediction.standard_deviations.object_points >= 0).all())
+        True
     """
     require_a(Block, block, "planning.predict")
     options = Options()  # raises an error without float64

@@ -23,7 +23,13 @@ from jaxbundle.solve.adjust import adjust
 
 
 class Effect(NamedTuple):
-    """Effect of one value on the function."""
+    """Effect of one value on the function.
+
+    Example:
+        >>> found = jb.planning.sensitivity(block, lambda b: b.object_points[4, 2])
+        >>> found.effects[0].unit
+        'px'
+    """
 
     subject: Subject
     """Table, names and component: ("rays", ("image", "point"), "x"), ("cameras", ("scan",), "principal_distance")."""
@@ -41,7 +47,13 @@ class Effect(NamedTuple):
 
 
 class Sensitivity(NamedTuple):
-    """The effects of all input values, the largest first."""
+    """The effects of all input values, the largest first.
+
+    Example:
+        >>> found = jb.planning.sensitivity(block, lambda b: b.object_points[4, 2])
+        >>> len(found.effects) > 10
+        True
+    """
 
     value: float
     effects: tuple[Effect, ...]
@@ -67,6 +79,11 @@ def sensitivity(block: Block, function: Callable[[Block], Array]) -> Sensitivity
     block, or of an adjustment that has not converged, are 0 or NaN.
 
     Raises: TypeError for an object that is not a Block; ValueError for a function with more than one number.
+
+    Example:
+        >>> found = jb.planning.sensitivity(block, lambda b: b.object_points[4, 2])
+        >>> found.effects[0].subject.table
+        'rays'
     """
     require_a(Block, block, "planning.sensitivity")
     block = with_datum(block)

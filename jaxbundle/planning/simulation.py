@@ -35,6 +35,11 @@ class Simulation(NamedTuple):
     """A simulated block with its truth.
 
     `block`: observations and approximate values; `truth`: same structure with true values and no errors.
+
+    Example:
+        >>> simulation = jb.simulate(1, 4, seed=1)
+        >>> simulation.block.structure is simulation.truth.structure
+        True
     """
 
     block: Block
@@ -42,7 +47,12 @@ class Simulation(NamedTuple):
 
 
 class SimulatedFlight(NamedTuple):
-    """A simulated flight. `block` and `truth` as in a `Simulation`; `gross_errors`: rays with a gross error."""
+    """A simulated flight. `block` and `truth` as in a `Simulation`; `gross_errors`: rays with a gross error.
+
+    Example:
+        >>> flight.gross_errors.size
+        0
+    """
 
     block: Block
     truth: Block
@@ -78,6 +88,11 @@ def simulate(
     observations are exact. `jaxbundle.planning.simulate_flight` has more options.
 
     Raises: ValueError for a flight whose images have no points in common.
+
+    Example:
+        >>> simulation = jb.simulate(1, 4, seed=1)
+        >>> len(simulation.block.images), len(simulation.block.structure.check_point)
+        (4, 4)
     """
     x, y, z = np.broadcast_to(np.asarray(control_sigma, float), 3).tolist()
     rows = (ControlSet("rows", sigmas=(x, y, z), count=control_rows),) if control_rows else ()
@@ -115,7 +130,10 @@ def simulate_flight(plan: FlightPlan) -> SimulatedFlight:
 
     Raises: BlockError, a ValueError, with all problems of the plan.
 
-    Example: `simulate_flight(FlightPlan(3, 10, gnss=Navigation((0.05, 0.05, 0.1), "strip"))).block`
+    Example:
+        >>> flight = jb.planning.simulate_flight(plan)
+        >>> len(flight.block.images)
+        3
     """
     prepare_jax()
     problems = plan_problems(plan)

@@ -11,13 +11,23 @@ Heights = Callable[[np.ndarray, np.ndarray], np.ndarray]
 
 
 def waves(relief: float, wavelength: float) -> Heights:
-    """Hills and hollows, relief/2 sin(2 pi X / L) sin(2 pi Y / L), in object units."""
+    """Hills and hollows, relief/2 sin(2 pi X / L) sin(2 pi Y / L), in object units.
+
+    Example:
+        >>> round(float(jb.planning.waves(20.0, 400.0)(np.array(100.0), np.array(100.0))), 6)
+        10.0
+    """
     k = 2 * math.pi / wavelength
     return lambda x, y: relief / 2 * np.sin(k * x) * np.sin(k * y)
 
 
 def slope(along_x: float, along_y: float) -> Heights:
-    """A plane with these slopes along X and Y."""
+    """A plane with these slopes along X and Y.
+
+    Example:
+        >>> float(jb.planning.slope(0.1, 0.0)(np.array(50.0), np.array(0.0)))
+        5.0
+    """
     return lambda x, y: along_x * x + along_y * y
 
 
@@ -28,6 +38,11 @@ def grid_heights(points: Float[np.ndarray, "point 3"]) -> Heights:
         points: X, Y, Z of all nodes, in any order.
 
     Raises: ValueError for points that are not the nodes of a grid with lines of equal X and equal Y.
+
+    Example:
+        >>> heights = jb.planning.grid_heights(np.array([[0, 0, 1], [0, 10, 1], [10, 0, 3], [10, 10, 3.0]]))
+        >>> heights(np.array([5.0]), np.array([5.0]))
+        array([2.])
     """
     x, y = np.unique(points[:, 0]), np.unique(points[:, 1])
     if len(x) < 2 or len(y) < 2 or len(points) != len(x) * len(y):

@@ -30,6 +30,11 @@ def residual_field(
     Returns: the axes.
 
     Raises: ValueError for an unknown camera.
+
+    Example:
+        >>> ax = jb.plot.residual_field(result, "drone")
+        >>> ax.get_xlabel() != ""
+        True
     """
     figures, ax = begin(result, ax, "residual_field")
     c = index_of(camera, figures.camera_names, "camera")
@@ -50,6 +55,12 @@ def distortion(result: Adjustment, camera: str | int = 0, *, ax: Axes | None = N
     """Draws the radial distortion of a camera with a band of one standard deviation. Arguments as for `residual_field`.
 
     Raises: ValueError also for a camera model without radial coefficients.
+
+    Example:
+        >>> jb.plot.distortion(result, "drone")  # the camera of this block has no distortion
+        Traceback (most recent call last):
+            ...
+        ValueError: ...
     """
     figures, ax = begin(result, ax, "distortion")
     c = index_of(camera, figures.camera_names, "camera")
@@ -69,6 +80,12 @@ def correlations(result: Adjustment, camera: str | int = 0, *, ax: Axes | None =
     """Draws the correlations of the estimated elements of a camera, with their numbers. Else as for `residual_field`.
 
     Raises: ValueError also where fewer than two elements are estimated, or no standard deviations were computed.
+
+    Example:
+        >>> jb.plot.correlations(result, "drone")  # the camera of this block is fixed
+        Traceback (most recent call last):
+            ...
+        ValueError: ...
     """
     figures, ax = begin(result, ax, "correlations")
     c = index_of(camera, figures.camera_names, "camera")

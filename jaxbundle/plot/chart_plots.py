@@ -24,6 +24,11 @@ def residual_histogram(result: Adjustment, *, log: bool = False, ax: Axes | None
         style: keywords of `Axes.stairs` for the steps.
 
     Returns: the axes.
+
+    Example:
+        >>> ax = jb.plot.residual_histogram(result)
+        >>> ax.get_xlabel() != ""
+        True
     """
     figures, ax = begin(result, ax, "residual_histogram")
     edges, counts = ray_pictures.residual_histogram(figures)
@@ -45,6 +50,11 @@ def images(result: Adjustment, what: str = "rms", *, ax: Axes | None = None, **s
     """Draws one number of each image in order: "rms", "largest", "rays" or "coverage". Else as `residual_histogram`.
 
     Raises: ValueError for any other `what`.
+
+    Example:
+        >>> ax = jb.plot.images(result, "rms")
+        >>> ax.get_ylabel() != ""
+        True
     """
     if what not in OF_IMAGES:
         raise ValueError(f"what={what!r} is not one of {', '.join(OF_IMAGES)}")
@@ -68,6 +78,11 @@ def image_residuals(
     """Draws the residuals of one image as arrows at its points, enlarged by `factor`; matplotlib's choice if None.
 
     Raises: ValueError for an unknown image.
+
+    Example:
+        >>> ax = jb.plot.image_residuals(result, "11")
+        >>> ax.get_xlabel() != ""
+        True
     """
     figures, ax = begin(result, ax, "image_residuals")
     structure = figures.structure
@@ -92,6 +107,11 @@ def redundancy(result: Adjustment, *, ax: Axes | None = None, **style: Any) -> A
     """Draws the histogram of the redundancy numbers of the image coordinates. Else as `residual_histogram`.
 
     Raises: ValueError where there are none.
+
+    Example:
+        >>> ax = jb.plot.redundancy(result)
+        >>> ax.get_xlabel() != ""
+        True
     """
     figures, ax = begin(result, ax, "redundancy")
     if figures.reliability is None:
@@ -105,7 +125,13 @@ def redundancy(result: Adjustment, *, ax: Axes | None = None, **style: Any) -> A
 
 
 def iterations(result: Adjustment, *, ax: Axes | None = None, **style: Any) -> Axes:
-    """Draws v^T P v after each iteration, with damping and step, on a logarithmic scale. Else as for `redundancy`."""
+    """Draws v^T P v after each iteration, with damping and step, on a logarithmic scale. Else as for `redundancy`.
+
+    Example:
+        >>> ax = jb.plot.iterations(result)
+        >>> ax.get_xlabel() != ""
+        True
+    """
     _, ax = begin(result, ax, "iterations")
     history = result.iterations.history
     rows = np.flatnonzero(~np.isnan(np.asarray(history.damping)))
@@ -126,6 +152,11 @@ def doming(result: Adjustment, *, ax: Axes | None = None, **style: Any) -> Axes:
     contain.
 
     Raises: ValueError for fewer than three differences.
+
+    Example:
+        >>> ax = jb.plot.doming(result)
+        >>> ax.get_ylabel() != ""
+        True
     """
     figures, ax = begin(result, ax, "doming")
     found = dome(figures)

@@ -28,6 +28,11 @@ def compare(first: Adjustment, second: Adjustment, *, ax: Axes | None = None, **
     Returns: the axes.
 
     Raises: ValueError where they have no point with standard deviations in common.
+
+    Example:
+        >>> ax = jb.plot.compare(result, result)
+        >>> ax.get_xlabel() != ""
+        True
     """
     found = compare_reports(_data(first), _data(second))
     points = next((table for table in found.differences if table.table == "points"), None)

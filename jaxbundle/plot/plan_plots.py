@@ -24,6 +24,11 @@ def block(result: Adjustment, *, outlines: bool = True, ax: Axes | None = None, 
         style: keywords of `Axes.plot` for the tie points.
 
     Returns: the axes.
+
+    Example:
+        >>> ax = jb.plot.block(result)
+        >>> ax.get_xlabel()
+        'X [m]'
     """
     figures, ax = begin(result, ax, "block")
     seen = plan(figures)
@@ -45,12 +50,23 @@ def control(result: Adjustment, *, factor: float | None = None, ax: Axes | None 
     """Draws the residuals of control points: arrows in X and Y, bars in Z, adjusted - observed.
 
     `factor`: enlargement, that of the report if None. Other arguments and the result as for `block`.
+
+    Example:
+        >>> ax = jb.plot.control(result, factor=100.0)
+        >>> ax.get_xlabel()
+        'X [m]'
     """
     return _differences(result, "control", factor, ax, style)
 
 
 def check(result: Adjustment, *, factor: float | None = None, ax: Axes | None = None, **style: Any) -> Axes:
-    """Draws the differences at check points: arrows in X and Y, bars in Z, adjusted - known. Else as for `control`."""
+    """Draws the differences at check points: arrows in X and Y, bars in Z, adjusted - known. Else as for `control`.
+
+    Example:
+        >>> ax = jb.plot.check(result)
+        >>> ax.get_xlabel()
+        'X [m]'
+    """
     return _differences(result, "check", factor, ax, style)
 
 
@@ -81,6 +97,11 @@ def ellipses(result: Adjustment, *, factor: float = 1000.0, ax: Axes | None = No
     """Draws the error ellipses of the stations, one standard deviation, enlarged by `factor`. Else as for `block`.
 
     Raises: ValueError where there are no standard deviations.
+
+    Example:
+        >>> ax = jb.plot.ellipses(result, factor=500.0)
+        >>> ax.get_xlabel()
+        'X [m]'
     """
     figures, ax = begin(result, ax, "ellipses")
     if result.cofactors is None:
@@ -100,7 +121,13 @@ def ellipses(result: Adjustment, *, factor: float = 1000.0, ax: Axes | None = No
 
 
 def connections(result: Adjustment, *, least: int = 1, ax: Axes | None = None, **style: Any) -> Axes:
-    """Draws connections of images with at least `least` common points; weak ones are dashed. Else as for `block`."""
+    """Draws connections of images with at least `least` common points; weak ones are dashed. Else as for `block`.
+
+    Example:
+        >>> ax = jb.plot.connections(result)
+        >>> ax.get_ylabel()
+        'Y [m]'
+    """
     figures, ax = begin(result, ax, "connections")
     found, xy = network.connections(figures), known(figures.exterior[:, :2])
     kept = found.common >= least
@@ -114,7 +141,13 @@ def connections(result: Adjustment, *, least: int = 1, ax: Axes | None = None, *
 
 
 def precision_map(result: Adjustment, component: str = "Z", *, ax: Axes | None = None, **style: Any) -> Axes:
-    """Draws the median standard deviation of X, Y or Z over the block, on a logarithmic scale. Else as for `block`."""
+    """Draws the median standard deviation of X, Y or Z over the block, on a logarithmic scale. Else as for `block`.
+
+    Example:
+        >>> ax = jb.plot.precision_map(result, "Z")
+        >>> ax.get_xlabel()
+        'X [m]'
+    """
     figures, ax = begin(result, ax, "precision_map")
     found = point_pictures.precision_map(figures, component)
     if not np.isfinite(found.median).any():

@@ -88,6 +88,11 @@ def compare_reports(first: Mapping[str, Any], second: Mapping[str, Any]) -> Comp
     """Compares two results, each as a dictionary of `report_dict` or report.json.
 
     Raises: ValueError where they have different units, or nothing in common.
+
+    Example:
+        >>> report = jb.report.report_dict(result)
+        >>> jb.report.compare_reports(report, report).unit
+        'm'
     """
     if first["units"] != second["units"]:
         raise ValueError(f"the results have different units: {first['units']} and {second['units']}")
@@ -151,6 +156,11 @@ def congruency(comparison: Comparison, level: float = LEVEL) -> Congruency:
     """Tests two independent surveys at one level for all their points together.
 
     Raises: ValueError for a level not between 0 and 1, or where no point has a standard deviation in both.
+
+    Example:
+        >>> report = jb.report.report_dict(result)
+        >>> float(jb.report.congruency(jb.report.compare_reports(report, report)).statistic)
+        0.0
     """
     if not 0 < level < 1:
         raise ValueError(f"the level {level} is not between 0 and 1")

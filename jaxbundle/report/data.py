@@ -20,7 +20,12 @@ from jaxbundle.solve.adjustment import Adjustment
 
 
 def report_dict(adjustment: Adjustment) -> dict[str, Any]:
-    """The report of a concrete adjustment as a dictionary: counts, sigma0, unknowns with standard deviations."""
+    """The report of a concrete adjustment as a dictionary: counts, sigma0, unknowns with standard deviations.
+
+    Example:
+        >>> isinstance(jb.report.report_dict(result), dict)
+        True
+    """
     require_a(Adjustment, adjustment, "report.report_dict")
     figures = figures_of(adjustment)
     return dict_of(figures, [*(section() for section in sections_of(figures)), made_section(figures)])

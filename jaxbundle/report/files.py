@@ -49,6 +49,11 @@ def write_report(
 
     Raises: FileExistsError where the folder contains files with these names that no adjustment wrote; another OSError
     where it cannot be written; ValueError for sensors that are not photographs.
+
+    Example:
+        >>> folder = jb.write_report(result, "results")
+        >>> sorted(path.name for path in folder.iterdir())[:4]
+        ['cameras.csv', 'check_points.csv', 'control.csv', 'images.csv']
     """
     require_a(Adjustment, adjustment, "write_report")
     require_photographs(adjustment.block, "write_report")

@@ -34,6 +34,11 @@ def write_method_report(result: MethodAdjustment, folder: str | Path, found: tup
     The tables of images, points, control and check points have the columns of a report of the bundle.
 
     Raises: OSError where the folder cannot be written.
+
+    Example:
+        >>> folder = jb.report.write_method_report(jb.independent.adjust_models(block), "models")
+        >>> folder.is_dir()
+        True
     """
     target = Path(folder)
     with np.errstate(all="ignore"):  # overflows and unknown values are empty in the tables

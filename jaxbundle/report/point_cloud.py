@@ -33,7 +33,9 @@ def to_ply(result: Adjustment, path: str | Path, stations: str | Path | None = N
     Raises: TypeError for other objects; OSError where a file cannot be written.
 
     Example:
-        jb.report.to_ply(result, "points.ply", stations="stations.ply")
+        >>> _ = jb.report.to_ply(result, "points.ply", stations="stations.ply")
+        >>> Path("points.ply").read_bytes()[:3]
+        b'ply'
     """
     require_a(Adjustment, result, "report.to_ply")
     require_photographs(result.block, "report.to_ply")

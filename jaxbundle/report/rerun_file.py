@@ -38,7 +38,8 @@ def to_rerun(result: Adjustment, path: str | Path) -> Path:
     cannot be written.
 
     Example:
-        jb.report.to_rerun(result, "block.rrd")
+        >>> jb.report.to_rerun(result, "block.rrd").name
+        'block.rrd'
     """
     require_a(Adjustment, result, "report.to_rerun")
     require_photographs(result.block, "report.to_rerun")

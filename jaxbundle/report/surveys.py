@@ -32,13 +32,19 @@ from jaxbundle.statistics.reliability_tables import level_of_one
 
 LEVEL = 0.05
 MAX_FULL = 400  # common points whose full covariance is computed: 1200 x 1200 numbers, one solution for each row
-LEAST_DATUM = 4  # points: fewer leave nothing to test beside the seven parameters of a similarity
+MIN_DATUM = 4  # points: fewer leave nothing to test beside the seven parameters of a similarity
 RANK = 1e-10  # of the largest eigenvalue: smaller ones are zero
 Datum = Literal["common", "similarity"]
 
 
 class Surveys(NamedTuple):
-    """The test of two surveys. Rows are the common points; differences are second minus first, in the common datum."""
+    """The test of two surveys. Rows are the common points; differences are second minus first, in the common datum.
+
+    Example:
+        >>> test = jb.report.survey_congruency(result, result)
+        >>> test.names[:3]
+        ('A', 'B', 'C')
+    """
 
     names: tuple[str, ...]
     difference: Float[np.ndarray, "point 3"]
@@ -122,8 +128,9 @@ def survey_congruency(
     standard deviations, and for too few common points.
 
     Example:
-        test = jb.report.survey_congruency(spring, autumn)
-        print(test.summary())
+        >>> test = jb.report.survey_congruency(result, result)
+        >>> test.congruent
+        True
     """
     for one in (first, second):
         require_a(Adjustment, one, "report.survey_congruency")
@@ -142,8 +149,8 @@ def survey_congruency(
     freedom = first.redundancy + second.redundancy
     variance = float(first.vtpv + second.vtpv) / freedom
     everything = np.arange(len(names))
-    if chosen == "similarity" and len(names) < LEAST_DATUM:
-        raise ValueError(f"{len(names)} common points are too few for a similarity: at least {LEAST_DATUM} are needed")
+    if chosen == "similarity" and len(names) < MIN_DATUM:
+        raise ValueError(f"{len(names)} common points are too few for a similarity: at least {MIN_DATUM} are needed")
     tested = _in_datum(both, everything, chosen)
     statistic, h = _together(tested, everything, variance)
     limit = float(fdtri(h, freedom, 1 - level))
@@ -255,7 +262,7 @@ def _carriers(both: _Both, variance: float, freedom: int, level: float) -> Int[n
     while True:
         tested = _in_datum(both, carriers, "similarity")
         value, rank = _together(tested, carriers, variance)
-        if not rank or fdtr(rank, freedom, value) <= 1 - level or len(carriers) <= LEAST_DATUM:
+        if not rank or fdtr(rank, freedom, value) <= 1 - level or len(carriers) <= MIN_DATUM:
             return carriers
         alone, _ = _alone(tested, variance)
         carriers = np.delete(carriers, int(np.argmax(alone[carriers])))

@@ -14,7 +14,12 @@ WIDTH = 110
 
 
 def report_text(adjustment: Adjustment) -> str:
-    """The report of a concrete adjustment, ASCII, at most 110 columns."""
+    """The report of a concrete adjustment, ASCII, at most 110 columns.
+
+    Example:
+        >>> len(jb.report.report_text(result).splitlines()) > 20
+        True
+    """
     require_a(Adjustment, adjustment, "report.report_text")
     figures = figures_of(adjustment)
     return text_of(figures, [*(section() for section in sections_of(figures)), made_section(figures)])

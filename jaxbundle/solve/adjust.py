@@ -55,7 +55,14 @@ Phase = Literal["planning", "compiling", "iterating", "standard deviations"]
 
 
 class Progress(NamedTuple):
-    """State after one iteration, for a progress callback; `step` is |J d| / |v|."""
+    """State after one iteration, for a progress callback; `step` is |J d| / |v|.
+
+    Example:
+        >>> steps = []
+        >>> _ = jb.adjust(block, progress=steps.append)
+        >>> steps[0].iteration, steps[0].accepted
+        (1, True)
+    """
 
     iteration: int
     cost: float
@@ -106,6 +113,11 @@ def adjust(
     Raises: TypeError for an object that is not a Block, or an unknown option; BlockError with all problems of the
     block; CheckpointError for a checkpoint of another block; ValueError for an unknown name or without float64;
     KeyboardInterrupt if it came before the first accepted step.
+
+    Example:
+        >>> result = jb.adjust(jb.read("quarry"))
+        >>> result.status.name, round(float(result.sigma0), 3)
+        ('CONVERGED', 0.957)
     """
     require_a(Block, block, "adjust")
     wanted = chosen(options, choices, "adjust")

@@ -46,7 +46,13 @@ def failed_row(name: str, error: Exception, seconds: float) -> Row:
 
 @dataclass(frozen=True)
 class Outcome:
-    """A block of a batch: its adjustment, or the error that prevented it."""
+    """A block of a batch: its adjustment, or the error that prevented it.
+
+    Example:
+        >>> outcome = jb.adjust_many({"quarry": block}).outcomes[0]
+        >>> outcome.name, outcome.result.success
+        ('quarry', True)
+    """
 
     name: str
     result: Adjustment | ValueError
@@ -62,7 +68,13 @@ class Outcome:
 
 @dataclass(frozen=True)
 class Batch:
-    """Outcomes in the order of the blocks."""
+    """Outcomes in the order of the blocks.
+
+    Example:
+        >>> batch = jb.adjust_many({"quarry": block})
+        >>> batch.outcomes[0].name
+        'quarry'
+    """
 
     outcomes: tuple[Outcome, ...]
 
@@ -127,6 +139,11 @@ def adjust_many(
 
     Raises: TypeError for an unknown option; ValueError for impossible options, or without
     float64.
+
+    Example:
+        >>> batch = jb.adjust_many({"quarry": block, "again": block})
+        >>> [(outcome.name, outcome.result.success) for outcome in batch.outcomes]
+        [('quarry', True), ('again', True)]
     """
     wanted = chosen(options, choices, "adjust_many")
     outcomes: list[Outcome] = []

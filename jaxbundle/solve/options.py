@@ -38,6 +38,11 @@ class Options(eqx.Module):
     """Options of an adjustment. `dataclasses.replace(options, precision=False)` changes one of them.
 
     Raises: ValueError for impossible options.
+
+    Example:
+        >>> options = jb.Options(max_iterations=30, stop=jb.stopping.AngleRule(1e-6))
+        >>> options.max_iterations, options.stop.limit
+        (30, 1e-06)
     """
 
     method: str = eqx.field(static=True, default="levenberg-marquardt")

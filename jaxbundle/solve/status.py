@@ -8,7 +8,12 @@ from jaxtyping import Array, Int
 
 
 class Status(IntEnum):
-    """Status of the iterations at their end."""
+    """Status of the iterations at their end.
+
+    Example:
+        >>> result.status is jb.Status.CONVERGED
+        True
+    """
 
     MAXIMUM_ITERATIONS = 0
     CONVERGED = 1

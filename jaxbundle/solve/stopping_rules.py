@@ -58,7 +58,12 @@ class AbstractStoppingRule(eqx.Module):
 
 
 class AngleRule(AbstractStoppingRule):
-    """Rule |J d| <= limit |v| (Boerlin & Grussenmeyer 2013); |J d| is the change of the residuals by the step."""
+    """Rule |J d| <= limit |v| (Boerlin & Grussenmeyer 2013); |J d| is the change of the residuals by the step.
+
+    Example:
+        >>> jb.adjust(block, stop=jb.stopping.AngleRule(1e-10)).status.name
+        'CONVERGED'
+    """
 
     name: ClassVar[str] = "angle"
     limit: float = eqx.field(static=True, converter=float, default=1e-8)
@@ -68,7 +73,12 @@ class AngleRule(AbstractStoppingRule):
 
 
 class PointRule(AbstractStoppingRule):
-    """Rule for the maximum change of a coordinate of an object point, object unit."""
+    """Rule for the maximum change of a coordinate of an object point, object unit.
+
+    Example:
+        >>> jb.stopping.PointRule(0.001).limit
+        0.001
+    """
 
     limit: float = eqx.field(static=True, converter=float)
     name: ClassVar[str] = "points"
@@ -212,7 +222,12 @@ def measured_directions(
 
 
 def parallax_rule(block: Block, delta: float) -> ParallaxRule:
-    """The rule for all pairs of successive images of each point."""
+    """The rule for all pairs of successive images of each point.
+
+    Example:
+        >>> jb.stopping.parallax_rule(block, 1e-3).limit
+        0.001
+    """
     require_a(Block, block, "stopping.parallax_rule")
     require_photographs(block, "stopping.parallax_rule")
     return ParallaxRule(delta)
@@ -222,6 +237,10 @@ def unknown_rule(block: Block, delta: float, *names: tuple[str, str]) -> Unknown
     """Returns the rule for unknowns with names ("image", "X0"), ("camera", "K1") or ("point", "Z"), or for all.
 
     Raises: ValueError for a name that is not in the block.
+
+    Example:
+        >>> jb.stopping.unknown_rule(block, 1e-3, ("11", "X0")).limit
+        0.001
     """
     require_a(Block, block, "stopping.unknown_rule")
     for name in names:

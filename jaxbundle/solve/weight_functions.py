@@ -36,7 +36,12 @@ class AbstractWeightFunction(eqx.Module):
 
 
 class Huber(AbstractWeightFunction):
-    """Huber's weights; 5 % of errors that are normal in both coordinates exceed the limit."""
+    """Huber's weights; 5 % of errors that are normal in both coordinates exceed the limit.
+
+    Example:
+        >>> jb.adjust(block, robust=jb.robust.Huber()).success
+        True
+    """
 
     name: ClassVar[str] = "huber"
     limit: float = eqx.field(static=True, converter=float, default=2.45)
@@ -47,7 +52,12 @@ class Huber(AbstractWeightFunction):
 
 
 class Cauchy(AbstractWeightFunction):
-    """Cauchy's weights; 95 % efficient for normal errors of one coordinate at 2.385 (Holland & Welsch 1977)."""
+    """Cauchy's weights; 95 % efficient for normal errors of one coordinate at 2.385 (Holland & Welsch 1977).
+
+    Example:
+        >>> jb.robust.Cauchy().limit
+        2.385
+    """
 
     name: ClassVar[str] = "cauchy"
     limit: float = eqx.field(static=True, converter=float, default=2.385)
@@ -57,7 +67,12 @@ class Cauchy(AbstractWeightFunction):
 
 
 class Tukey(AbstractWeightFunction):
-    """Tukey's biweight; 95 % efficient for normal errors of one coordinate at 4.685 (Holland & Welsch 1977)."""
+    """Tukey's biweight; 95 % efficient for normal errors of one coordinate at 4.685 (Holland & Welsch 1977).
+
+    Example:
+        >>> jb.robust.Tukey().limit
+        6.0
+    """
 
     name: ClassVar[str] = "tukey"
     limit: float = eqx.field(static=True, converter=float, default=6.0)
@@ -67,7 +82,12 @@ class Tukey(AbstractWeightFunction):
 
 
 class Danish(AbstractWeightFunction):
-    """Weights of the Danish method; unchanged below the limit, which one normal error in ninety exceeds."""
+    """Weights of the Danish method; unchanged below the limit, which one normal error in ninety exceeds.
+
+    Example:
+        >>> jb.robust.Danish(limit=2.5).limit
+        2.5
+    """
 
     name: ClassVar[str] = "danish"
     limit: float = eqx.field(static=True, converter=float, default=3.0)

@@ -63,6 +63,11 @@ class VarianceComponents:
     `components` multiply the a-priori variances, `factors`, their roots, the sigmas. `deviations` are the standard
     deviations of the components, NaN for a fixed group; `held` has the reason ("" if not fixed). If the block is too
     large for S, they are lower bounds, sqrt(2 / r_i). `adjustment` is the last one, with the final sigmas.
+
+    Example:
+        >>> rays = jb.statistics.tie_rays(block), jb.statistics.control_rays(block)
+        >>> len(jb.statistics.variance_components(block, rays).names)
+        3
     """
 
     form: Form
@@ -145,6 +150,12 @@ def variance_components(
 
     Raises: BlockError as `adjust`; ValueError for overlapping or inseparable groups, for a robust adjustment, if an
     adjustment fails, and for the form "helmert" of a large block.
+
+    Example:
+        >>> rays = jb.statistics.tie_rays(block), jb.statistics.control_rays(block)
+        >>> found = jb.statistics.variance_components(block, rays)
+        >>> found.converged
+        True
     """
     require_a(Block, block, "statistics.variance_components")
     if form not in ("redundancy", "helmert"):

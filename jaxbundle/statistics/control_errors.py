@@ -117,6 +117,11 @@ def influence(adjustment: Adjustment, control: Subset) -> Influence:
     """The influence of the errors of some control, such as `control_point(block, "12")`.
 
     Raises: ValueError for image coordinates, for a large block, and for undetermined unknowns.
+
+    Example:
+        >>> found = jb.statistics.influence(result, jb.statistics.control_point(block, "A"))
+        >>> type(found).__name__
+        'Influence'
     """
     require_a(Adjustment, adjustment, "statistics.influence")
     return _influence(dense_system(adjustment), adjustment, control)
@@ -129,6 +134,11 @@ def control_influence(adjustment: Adjustment) -> ControlInfluence:
     as all of them together meet the criterion. If the global test of the adjustment fails, there are none.
 
     Raises: ValueError for a block without weighted control, and as `influence`.
+
+    Example:
+        >>> found = jb.statistics.control_influence(result)
+        >>> found.test.passed
+        True
     """
     require_a(Adjustment, adjustment, "statistics.control_influence")
     block = adjustment.block

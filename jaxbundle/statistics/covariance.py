@@ -62,6 +62,11 @@ def covariance_of(adjustment: Adjustment, function: Callable[[Block], Array]) ->
 
     Raises: TypeError for a function that does not return an array of numbers; ValueError for a function that is not
     differentiable or has values or derivatives that are not finite, and for a solution by conjugate gradients.
+
+    Example:
+        >>> found = jb.covariance_of(result, lambda b: jnp.linalg.norm(b.object_points[0] - b.object_points[1]))
+        >>> found.values.shape, bool(found.standard_deviations > 0)
+        ((), True)
     """
     require_a(Adjustment, adjustment, "covariance_of")
     if adjustment.reduced == "pcg":
@@ -161,6 +166,11 @@ def error_ellipsoids(adjustment: Adjustment) -> Ellipsoids:
     """A-posteriori standard error ellipsoids of all object points.
 
     Raises: ValueError if no cofactors were computed.
+
+    Example:
+        >>> ellipsoids = jb.statistics.error_ellipsoids(result)
+        >>> ellipsoids.semi_axes.shape
+        (8, 3)
     """
     require_a(Adjustment, adjustment, "statistics.error_ellipsoids")
     if adjustment.cofactors is None:
@@ -174,6 +184,11 @@ def error_ellipses(adjustment: Adjustment) -> Ellipsoids:
     """A-posteriori standard error ellipses in the plane X, Y of all object points.
 
     Raises: ValueError if no cofactors were computed.
+
+    Example:
+        >>> ellipses = jb.statistics.error_ellipses(result)
+        >>> ellipses.semi_axes.shape
+        (8, 2)
     """
     require_a(Adjustment, adjustment, "statistics.error_ellipses")
     if adjustment.cofactors is None:

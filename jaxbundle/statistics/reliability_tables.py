@@ -30,7 +30,12 @@ Tables = tuple[Float[np.ndarray, "_member _component"], ...]
 
 
 class Reliability(NamedTuple):
-    """Reliability tables for rays and groups; NaN where not observed, infinite for uncontrolled observations."""
+    """Reliability tables for rays and groups; NaN where not observed, infinite for uncontrolled observations.
+
+    Example:
+        >>> jb.statistics.reliability(result).redundancy_numbers[0].shape
+        (32, 2)
+    """
 
     redundancy_numbers: Tables
     w: Tables
@@ -80,6 +85,11 @@ def reliability(adjustment: Adjustment, level: float = LEVEL, power: float = POW
     """Computes the reliability of all observations; for a robust adjustment with the weights of its last round.
 
     Raises: ValueError if the adjustment has no redundancy numbers.
+
+    Example:
+        >>> tables = jb.statistics.reliability(result)
+        >>> round(float(tables.redundancy_numbers[0].min()), 3)
+        0.113
     """
     require_a(Adjustment, adjustment, "statistics.reliability")
     numbers = redundancy_numbers(adjustment)

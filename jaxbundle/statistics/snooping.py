@@ -46,7 +46,12 @@ class Removed(NamedTuple):
 
 
 class Snooping(NamedTuple):
-    """The adjustment without the removed rows, and these rows in order. `complete`: whether no suspect remains."""
+    """The adjustment without the removed rows, and these rows in order. `complete`: whether no suspect remains.
+
+    Example:
+        >>> jb.snoop(result).adjustment.success
+        True
+    """
 
     adjustment: Adjustment
     removed: tuple[Removed, ...]
@@ -60,6 +65,11 @@ def snoop(adjustment: Adjustment, level: float = LEVEL, most: int = 50) -> Snoop
     as its weights make residuals small.
 
     Raises: ValueError if the adjustment has no redundancy numbers, and for sensors other than photographs.
+
+    Example:
+        >>> cleaned = jb.snoop(result)
+        >>> cleaned.complete, cleaned.removed
+        (True, ())
     """
     require_a(Adjustment, adjustment, "snoop")
     require_photographs(adjustment.block, "snoop")

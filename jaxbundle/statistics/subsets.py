@@ -22,7 +22,12 @@ Z = ("Z",)
 
 @dataclass(frozen=True, eq=False)
 class Subset:
-    """A subset: a name and masks, one for the rays and one for each group, like the tables of residuals."""
+    """A subset: a name and masks, one for the rays and one for each group, like the tables of residuals.
+
+    Example:
+        >>> jb.statistics.tie_rays(block).masks[0].shape
+        (32, 2)
+    """
 
     name: str
     masks: tuple[Mask, ...]
@@ -57,13 +62,23 @@ def image_coordinates(block: Block) -> Subset:
 
 
 def control_rays(block: Block) -> Subset:
-    """Group I of Text 001: image coordinates of control points, which have a fixed or observed coordinate."""
+    """Group I of Text 001: image coordinates of control points, which have a fixed or observed coordinate.
+
+    Example:
+        >>> jb.statistics.control_rays(block).count
+        32
+    """
     require_a(Block, block, "statistics.control_rays")
     return _rays(block, "rays of control points", is_control_point(block)[block.structure.ray_point])
 
 
 def tie_rays(block: Block) -> Subset:
-    """Group II of Text 001: image coordinates of all other points."""
+    """Group II of Text 001: image coordinates of all other points.
+
+    Example:
+        >>> jb.statistics.tie_rays(block).count
+        32
+    """
     require_a(Block, block, "statistics.tie_rays")
     return _rays(block, "rays of tie points", ~is_control_point(block)[block.structure.ray_point])
 
@@ -72,6 +87,10 @@ def camera_rays(block: Block, camera: str) -> Subset:
     """The subset of image coordinates on the images of one camera.
 
     Raises: ValueError for an unknown name, as in all functions with names.
+
+    Example:
+        >>> jb.statistics.camera_rays(block, "drone").count
+        64
     """
     require_a(Block, block, "statistics.camera_rays")
     names = tuple(camera.name for camera in block.structure.cameras)
@@ -80,7 +99,12 @@ def camera_rays(block: Block, camera: str) -> Subset:
 
 
 def image_rays(block: Block, images: Collection[str], name: str) -> Subset:
-    """The subset of image coordinates on some images, such as a strip; `name` is the name of the strip."""
+    """The subset of image coordinates on some images, such as a strip; `name` is the name of the strip.
+
+    Example:
+        >>> jb.statistics.image_rays(block, ("11", "12"), "strip 1").count
+        32
+    """
     require_a(Block, block, "statistics.image_rays")
     numbers = _numbers("image", block.structure.image_names, images)
     return _rays(block, name, np.isin(block.structure.ray_image, numbers))
@@ -92,6 +116,10 @@ def observations_of_kind(block: Block, kind: str, components: Collection[str] | 
     "stations" are observed projection centres without systematic errors, "gnss_stations" those with such errors.
 
     Raises: ValueError for a kind or a component that the block does not have.
+
+    Example:
+        >>> jb.statistics.observations_of_kind(block, "control", "Z").count
+        4
     """
     require_a(Block, block, "statistics.observations_of_kind")
     kinds: dict[str, dict[str, None]] = {}  # cameras of different models have different elements in "interior"
@@ -112,7 +140,12 @@ def observations_of_kind(block: Block, kind: str, components: Collection[str] | 
 
 
 def control_point(block: Block, point: str) -> Subset:
-    """The subset of the observed coordinates of one control point."""
+    """The subset of the observed coordinates of one control point.
+
+    Example:
+        >>> jb.statistics.control_point(block, "A").count
+        3
+    """
     require_a(Block, block, "statistics.control_point")
     (number,) = _numbers("point", block.structure.point_names, [point])
 
@@ -132,13 +165,23 @@ def observed_points(block: Block) -> tuple[str, ...]:
 
 
 def all_control(block: Block) -> Subset:
-    """Group III of Text 001: all observations other than image coordinates."""
+    """Group III of Text 001: all observations other than image coordinates.
+
+    Example:
+        >>> jb.statistics.all_control(block).count
+        12
+    """
     require_a(Block, block, "statistics.all_control")
     return _members(block, "all control", lambda group: group.structure.observed)
 
 
 def default_groups(block: Block) -> tuple[Subset, ...]:
-    """Groups I and II of Text 001 and, instead of group III, one subset per kind of observation."""
+    """Groups I and II of Text 001 and, instead of group III, one subset per kind of observation.
+
+    Example:
+        >>> len(jb.statistics.default_groups(block))
+        3
+    """
     require_a(Block, block, "statistics.default_groups")
     kinds = dict.fromkeys(group.structure.kind.name for group in block.groups)
     subsets = control_rays(block), tie_rays(block), *(observations_of_kind(block, kind) for kind in kinds)

@@ -101,6 +101,10 @@ class CrossCheck:
     """The verdict on 18 formulas, printed ones or those of the user, and on the printed matrix.
 
     For ordinary rays omega is within +-85 deg; for singular ones it is at or close to +-90 deg.
+
+    Example:
+        >>> jb.textbook.crosscheck(draws=100).draws
+        100
     """
 
     title: str
@@ -133,6 +137,10 @@ def crosscheck(partials: Formulas | None = None, *, draws: int = 100_000, seed: 
     `partials(rotation, angles, projection_centre, object_point, principal_distance)` returns the 18 partials
     A1 ... A9, B1 ... B9, as `printed_partials` does: `rotation` = (a1, a2, a3, b1, b2, b3, c1, c2, c3), `angles` =
     (alpha, omega, kappa), two points, f. Each of these scalars is an array with one element per ray.
+
+    Example:
+        >>> jb.textbook.crosscheck(draws=100).draws
+        100
     """
     prepare_jax()
     if draws < 1:
@@ -156,7 +164,12 @@ def crosscheck(partials: Formulas | None = None, *, draws: int = 100_000, seed: 
 
 
 def orthonormality_defect(rotation: Rotation) -> Float[Array, "..."]:
-    """The defect max |R^T R - I|, which is zero for a rotation."""
+    """The defect max |R^T R - I|, which is zero for a rotation.
+
+    Example:
+        >>> float(jb.textbook.orthonormality_defect((1.0, 0.0, 0.0, 0.0, 1.0, 0.0, 0.0, 0.0, 1.0)))
+        0.0
+    """
     gram = product(transpose(rotation), rotation)
     return jnp.max(jnp.stack([jnp.abs(g - i) for g, i in zip(gram, IDENTITY, strict=True)]), axis=0)
 

@@ -74,7 +74,12 @@ MATRIX_ELEMENTS = (
 
 
 def printed_matrix(alpha: Scalar, omega: Scalar, kappa: Scalar) -> Rotation:
-    """The matrix (164) exactly as printed: not a rotation, with five misprints in four elements (a2 has two)."""
+    """The matrix (164) exactly as printed: not a rotation, with five misprints in four elements (a2 has two).
+
+    Example:
+        >>> len(jb.textbook.printed_matrix(0.1, 0.2, 0.3))
+        9
+    """
     ca, sa = jnp.cos(alpha), jnp.sin(alpha)
     cw, sw = jnp.cos(omega), jnp.sin(omega)
     ck, sk = jnp.cos(kappa), jnp.sin(kappa)
@@ -97,6 +102,11 @@ def printed_partials(
     """The partials A1 ...
 
     A9, B1 ... B9 exactly as in (163); `rotation` is the matrix of `angles` (alpha, omega, kappa).
+
+    Example:
+        >>> level = (1.0, 0.0, 0.0, 0.0, 1.0, 0.0, 0.0, 0.0, 1.0)
+        >>> len(jb.textbook.printed_partials(level, (0.0, 0.0, 0.0), (0.0, 0.0, 100.0), (20.0, -10.0, 0.0), 50.0))
+        18
     """
     a1, a2, a3, b1, b2, b3, c1, c2, c3 = rotation
     _, omega, kappa = angles
@@ -131,7 +141,13 @@ def printed_partials(
 def regular_partials(
     rotation: Rotation, angles: Angles, projection_centre: Vector, object_point: Vector, principal_distance: Scalar
 ) -> Partials:
-    """The 18 partials in a form without 0/0, correct in all attitudes, including omega = +-90 deg."""
+    """The 18 partials in a form without 0/0, correct in all attitudes, including omega = +-90 deg.
+
+    Example:
+        >>> level = (1.0, 0.0, 0.0, 0.0, 1.0, 0.0, 0.0, 0.0, 1.0)
+        >>> len(jb.textbook.regular_partials(level, (0.0, 0.0, 0.0), (0.0, 0.0, 100.0), (20.0, -10.0, 0.0), 50.0))
+        18
+    """
     a1, a2, a3, b1, b2, b3, c1, c2, c3 = rotation
     f = principal_distance
     p = photo_vector(rotation, projection_centre, object_point)

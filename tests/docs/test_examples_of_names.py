@@ -29,8 +29,22 @@ pytestmark = pytest.mark.xdist_group("pages")
 PACKAGE = ROOT / "jaxbundle"
 OPTIONS = doctest.NORMALIZE_WHITESPACE | doctest.ELLIPSIS
 # functions that take photographs of a survey: their examples are shown, and tests/imagery and tests/measuring run them
-SHOWN = {"jaxbundle.measuring.measurement.measure", "jaxbundle.imagery.refinement.refine"}
-MANY_PROGRAMS: set[str] = set()  # examples that compile programs which no other example needs
+SHOWN = {
+    "jaxbundle.imagery.refinement.refine",
+    "jaxbundle.imagery.tied.match_tied",
+    "jaxbundle.measuring.measurement.measure",
+}
+# examples that compile programs which no other example needs: several seconds each
+MANY_PROGRAMS = (
+    "jaxbundle.independent.",
+    "jaxbundle.orientation.relative_orientations.",
+    "jaxbundle.planning.control_candidates.",
+    "jaxbundle.planning.control_search.",
+    "jaxbundle.planning.design_derivatives.",
+    "jaxbundle.planning.monte_carlo_runs.",
+    "jaxbundle.planning.sensitivities.",
+    "jaxbundle.report.method_report.",
+)
 
 
 def homes() -> Iterator[tuple[str, str]]:
@@ -99,8 +113,8 @@ def test_every_public_name_has_an_example(capsys):
         print(f"\n{len(PUBLIC)} public names, each with an example; {len(PUBLIC) - len(SHOWN)} examples run")
 
 
-@pytest.mark.parametrize("name", [name for name in PUBLIC if name not in SHOWN])
-def test_example(name, context):
+def run(name: str, context: dict[str, Any]) -> None:
+    """Runs the example of a name."""
     text = docstring(*name.rsplit(".", 1))
     assert "+SKIP" not in text
     test = doctest.DocTestParser().get_doctest(text, dict(context), name, None, 0)
@@ -108,3 +122,14 @@ def test_example(name, context):
     failed = doctest.DocTestRunner(optionflags=OPTIONS, verbose=False).run(test, out=output.append).failed
     pyplot.close("all")
     assert not failed, "".join(output)
+
+
+@pytest.mark.parametrize("name", [n for n in PUBLIC if n not in SHOWN and not n.startswith(MANY_PROGRAMS)])
+def test_example(name, context):
+    run(name, context)
+
+
+@pytest.mark.thorough
+@pytest.mark.parametrize("name", [n for n in PUBLIC if n not in SHOWN and n.startswith(MANY_PROGRAMS)])
+def test_example_with_many_programs(name, context):
+    run(name, context)

@@ -102,8 +102,8 @@ def write_format(block: Block, path: str | Path, name: str) -> tuple[str, ...]:
     Raises: ValueError for an unknown name.
 
     Example:
-
         >>> jb.io.write_format(result.block, "out", "colmap")
+        ('4 rows of control', '1 check point')
     """
     require_a(Block, block, "io.write_format")
     form = FORMATS.get(name)

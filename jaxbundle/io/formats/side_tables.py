@@ -16,7 +16,12 @@ from jaxbundle.io.formats.photograph_data import positions_of_photographs
 
 @dataclass(frozen=True)
 class Sources:
-    """Additional tables of a foreign block, and information from the user; sigmas in plan and height, object unit."""
+    """Additional tables of a foreign block, and information from the user; sigmas in plan and height, object unit.
+
+    Example:
+        >>> jb.io.Sources(control=Path("gcp_list.txt"), control_sigma=(0.02, 0.03)).control_sigma
+        (0.02, 0.03)
+    """
 
     format: str = ""
     """Name of the format, for content that fits several formats or none."""

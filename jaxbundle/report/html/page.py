@@ -34,7 +34,8 @@ def report_html(adjustment: Adjustment, made: Made | None = None, found: tuple[F
     Raises: TypeError for other objects; ValueError for sensors that are not photographs.
 
     Example:
-        Path("report.html").write_text(jb.report.report_html(jb.adjust(block)))
+        >>> jb.report.report_html(result).startswith("<!")
+        True
     """
     require_a(Adjustment, adjustment, "report.report_html")
     require_photographs(adjustment.block, "report.report_html")
@@ -48,6 +49,10 @@ def write_html(adjustment: Adjustment, path: str | Path, found: tuple[Finding, .
     """Writes the report of a concrete adjustment as one HTML page, with what was `found`, and returns its path.
 
     Raises: as `report_html`; OSError where the file cannot be written.
+
+    Example:
+        >>> jb.report.write_html(result, "report.html").name
+        'report.html'
     """
     page, target = report_html(adjustment, made_now(), found), Path(path)
     write_whole(target, lambda file: file.write(page.encode("utf-8")))
