@@ -124,7 +124,7 @@ def _looked_at(
     y = np.einsum("pij,pkj->pki", rotation, rays.first)
     fits, sine_squared = pair_fits(y, rays.second, base[:, None], rays.variance)
     fits &= rays.valid
-    counted = np.where(fits.any(1)[:, None], fits, rays.valid)  # of wrong rays the angles are anything
+    counted = np.where(fits.any(1, keepdims=True), fits, rays.valid)  # of wrong rays the angles are anything
     angle = np.where(counted, np.sqrt(np.maximum(sine_squared, 0)), np.nan)
     return fits.sum(1), np.nanmedian(angle, 1)
 

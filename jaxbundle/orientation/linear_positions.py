@@ -58,8 +58,11 @@ class Lines(NamedTuple):
 
 
 class Bases(NamedTuple):
-    """Bases of pairs of images: unit vectors in space from the first image to the second, and the median angle between
-    the rays of a point."""
+    """Directions and parallaxes of the bases of pairs of images.
+
+    `along`: unit vectors in space from the first image to the second. `parallax`: median angle between the rays of a
+    point.
+    """
 
     pair: Int[np.ndarray, "pair 2"]
     along: Float[np.ndarray, "pair 3"]

@@ -1,4 +1,4 @@
-"""Images whose distance from the others nothing but a few points tells.
+"""Images whose distance from the others is determined by a few points only.
 
 Rays of two images fix directions; the ratio of two bases is known by points that three images show. Pairs of images
 that such a point connects have one scale; one that rests on fewer than three points is not checked by anything.

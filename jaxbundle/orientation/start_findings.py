@@ -114,7 +114,7 @@ def _behind(block: Block, behind: Bool[np.ndarray, " point"]) -> list[Finding]:
         return []
     it = "it" if len(names) == 1 else "them"
     what = f"the rays of {counted(len(names), 'point')} meet behind their images only: {named(names)}"
-    cure = f"measure {it} again or drop {it}; the adjustment starts with {it} where the rays meet"
+    cure = f"re-measure or remove {it}; the adjustment starts with {it} where the rays meet"
     return [Finding(Kind.SUSPECT, what, cure, tuple(Subject("points", (name,)) for name in names))]
 
 

@@ -182,10 +182,7 @@ def survey_congruency(
 def _common(first: Adjustment, second: Adjustment) -> tuple[tuple[str, ...], list[Int[np.ndarray, " point"]]]:
     """Names of the points that both have and that are unknown in one of them, and their rows in both."""
     a, b = (one.block.structure for one in (first, second))
-    free = [
-        {n for n, f in zip(s.point_names, np.asarray(s.point_free).any(axis=1).tolist(), strict=True) if f}
-        for s in (a, b)
-    ]
+    free = [{s.point_names[k] for k in np.flatnonzero(s.point_free.any(1))} for s in (a, b)]
     there, known = set(b.point_names), [{n: k for k, n in enumerate(s.point_names)} for s in (a, b)]
     names = tuple(name for name in a.point_names if name in there and (name in free[0] or name in free[1]))
     if not names:

@@ -175,8 +175,7 @@ def connection_drawing(plan: Plan, found: Connections, names: tuple[str, ...], u
     most = max(int(found.common.max(initial=1)), 1)
     lines, together = [], {}
     u, v = axes.u(plan.stations[:, 0]), axes.v(plan.stations[:, 1])
-    there = np.isfinite(np.stack([u, v], 1)).all(1)
-    drawn = there[found.pairs].all(1)
+    drawn = (np.isfinite(u) & np.isfinite(v))[found.pairs].all(1)
     for (a, b), number in zip(found.pairs[drawn].tolist(), found.common[drawn].tolist(), strict=True):
         kind = "weak" if number < WEAK else f"w{min(4, int(5 * number / most))}"
         path = f"M{u[a]:.1f} {v[a]:.1f}l{u[b] - u[a]:.1f} {v[b] - v[a]:.1f}"
