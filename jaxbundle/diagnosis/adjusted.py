@@ -47,15 +47,22 @@ def findings(adjustment: Adjustment, start: Block | None = None) -> tuple[Findin
     if start is not None and not _explain(told):
         told = causes(start, adjustment) or told
     found += told
+    if adjustment.status is Status.CONVERGED or _creeps(adjustment):
+        found += [*element_findings(adjustment), *flying_height_findings(adjustment)]
     if adjustment.status is Status.CONVERGED:
-        found += [*element_findings(adjustment), *flying_height_findings(adjustment), *boresight_findings(adjustment)]
-        found += [*point_findings(adjustment), *controlled_findings(adjustment)]
+        found += [*boresight_findings(adjustment), *point_findings(adjustment), *controlled_findings(adjustment)]
     if not adjustment.block.structure.model.photographs:
         what = "gross errors were not searched for: the sensors of this block are not photographs"
         found.append(Finding(Kind.INFORMATION, what, "compare the residuals with their standard deviations"))
     if adjustment.cofactors is None:
         found.append(Finding(Kind.NO_PRECISION, "no standard deviations were computed"))
-    return in_order(_explained(found))
+    return in_order(_explained(found, _creeps(adjustment)))
+
+
+def _creeps(adjustment: Adjustment) -> bool:
+    """Whether an adjustment fits but has not converged: unknowns that are hardly determined still change."""
+    fits = float(adjustment.sigma0) <= BEYOND_USE and adjustment.cofactors is not None
+    return fits and adjustment.status in (Status.MAXIMUM_ITERATIONS, Status.CREEPING)
 
 
 def _explain(told: tuple[Finding, ...]) -> bool:
@@ -64,15 +71,18 @@ def _explain(told: tuple[Finding, ...]) -> bool:
     return bool(of_kind(told, Kind.SUSPECT, Kind.SYSTEMATIC)) and max(fit, default=0.0) <= BEYOND_USE
 
 
-def _explained(found: list[Finding]) -> list[Finding]:
+def _explained(found: list[Finding], creeps: bool) -> list[Finding]:
     """If nothing fits and a cause is known, this cause is the problem, and its cure the cure."""
-    if not of_kind(found, Kind.NOT_CONVERGED, Kind.SIGMA0) or not of_kind(found, *CAUSES):
+    causes, cure = CAUSES, "first cure the problems above"
+    if creeps and not of_kind(found, *CAUSES):
+        causes, cure = (Kind.WEAK,), "first cure the weakly determined unknowns below"
+    if not of_kind(found, Kind.NOT_CONVERGED, Kind.SIGMA0) or not of_kind(found, *causes):
         return found
     return [
-        dataclasses.replace(finding, cure="first cure the problems above")
+        dataclasses.replace(finding, cure=cure)
         if finding.kind is Kind.NOT_CONVERGED
         else dataclasses.replace(finding, grade=Severity.FAILED)
-        if finding.kind in CAUSES
+        if finding.kind in causes
         else finding
         for finding in found
     ]

@@ -66,6 +66,8 @@ def closest_to_rays(
 ) -> Float[Array | np.ndarray, "3 point"]:
     """Solutions of the normal equations of each point, by cofactors; NaN if they are singular."""
     xp = array_module((directions, centres))
+    if not centres.shape[1]:
+        return xp.full((3, points), xp.nan)
     origin = centres.mean(1, keepdims=True)  # large coordinates lose digits
     x, y, z = directions
     across = xp.stack([1 - x * x, -x * y, -x * z, 1 - y * y, -y * z, 1 - z * z])

@@ -4,6 +4,7 @@ import numpy as np
 import pytest
 
 import jaxbundle as jb
+from jaxbundle.block.findings import Kind, Severity
 from jaxbundle.planning.flight import AerialCamera
 
 pytestmark = pytest.mark.thorough
@@ -15,6 +16,8 @@ def test_a_principal_distance_over_flat_ground_is_not_trusted():
     simulated = jb.simulate(2, 3, camera=camera, relief=0.0, tilt=0.0, points_per_image=30, control_rows=2, seed=1)
     result = jb.adjust(simulated.block)
     assert not result.trustworthy
+    named = [f for f in jb.findings(result, simulated.block) if f.severity is Severity.FAILED]
+    assert [f.subjects[0].component for f in named if f.kind is Kind.WEAK] == ["principal_distance"]
     deviation = float(result.standard_deviations.interior[0, 0])
     assert not deviation < abs(float(result.block.interior.elements[0, 0]))
 
