@@ -3,7 +3,6 @@
 Prints the table of an experiment of 1986 (Text 001 of the bibliography): each computed row, and the printed row below.
 """
 
-import equinox as eqx
 import jax
 import jax.numpy as jnp
 import numpy as np
@@ -12,11 +11,11 @@ import jaxbundle as jb
 from jaxbundle.block.residuals import observations_of, ray_residuals
 from jaxbundle.block.unknowns import unknowns_of
 from jaxbundle.geometry.rotation import ALPHA_OMEGA_KAPPA
+from jaxbundle.observations import CONTROL, observation_group
 from jaxbundle.planning.simulation import exact_coordinates
-from jaxbundle.statistics.control_errors import control_influence
 
 jax.config.update("jax_enable_x64", True)
-CONTROL = np.array([[-700, 700, 10.4], [700, 700, -10.7], [-700, -700, 74.5], [700, -700, 71.3]])
+GIVEN = np.array([[-700, 700, 10.4], [700, 700, -10.7], [-700, -700, 74.5], [700, -700, 71.3]])
 SIGMA = 0.001  # mm in the image; 0.01 m on the ground
 # row; weights of control 1-3 and 4, inf: held; dX dY dZ [m] dalpha domega dkappa [']; l_x, l_y of points 1-4 [um]
 PRINTED = """
@@ -47,15 +46,9 @@ def photo(control, weights, measured):
     incidences = np.zeros(1, np.int32), 0 * k, k, np.ones((1, 6), bool), np.zeros((1, 5), bool), sigmas > 0, k[:0]
     structure = jb.blocks.Structure("photo", *names, *incidences, rotation_system=ALPHA_OMEGA_KAPPA)
     exterior = jb.blocks.ExteriorOrientation(jnp.array([[0, 0, 750.0]]), jnp.radians(jnp.array([[1.38, 4.71, -2.80]])))
-    interior, rays = (
-        jb.blocks.InteriorOrientation(jnp.array([[75.0, 0, 0, 1, 1]])),
-        jb.blocks.Rays(measured, jnp.full((4, 2), SIGMA)),
-    )
-    groups = (
-        (jb.observations.observation_group(jb.observations.CONTROL, k[:, None], control, sigmas),)
-        if sigmas.all()
-        else ()
-    )
+    interior = jb.blocks.InteriorOrientation(jnp.array([[75.0, 0, 0, 1, 1]]))
+    rays = jb.blocks.Rays(measured, jnp.full((4, 2), SIGMA))
+    groups = (observation_group(CONTROL, k[:, None], control, sigmas),) if sigmas.all() else ()
     return jb.Block(structure, exterior, interior, jnp.array(control), rays, groups, jb.blocks.CheckPoints(none, none))
 
 
@@ -64,13 +57,13 @@ def computed(row, printed_weights):
     shift, weights = 0.3 if row < 9 else 5.0, np.array(printed_weights, float)[[0, 0, 0, 1]]
     if row not in (7, 8, 15, 16, 17):  # those of rows 1-6 are a decade too high; P4' = mu_3^2 / dX^2
         weights = weights[0] / (10 if row < 7 else 1) * np.array([1, 1, 1, (0.01 / shift) ** 2])
-    exact = exact_coordinates(photo(CONTROL, weights, jnp.zeros((4, 2))))[0]
-    start = photo(CONTROL + shift * np.eye(4)[:, 3:], weights, jnp.array(exact))
+    exact = exact_coordinates(photo(GIVEN, weights, jnp.zeros((4, 2))))[0]
+    start = photo(GIVEN + shift * np.eye(4)[:, 3:], weights, jnp.array(exact))
     result = jb.adjust(start, precision=False)
     change = jax.tree.map(jnp.subtract, result.block.exterior, start.exterior)
-    b = eqx.tree_at(lambda b: b.object_points, result.block, start.object_points)
+    b = result.block.replace(object_points=start.object_points)
     remaining = -1000 * np.asarray(ray_residuals(unknowns_of(b), observations_of(b)))
-    influence = control_influence(result).together if start.groups else "control held"
+    influence = jb.statistics.control_influence(result).together if start.groups else "control held"
     return np.ravel([change.projection_centre, 60 * np.degrees(change.angles)]), remaining, influence
 
 

@@ -44,7 +44,7 @@ def spline_camera(interior, vector, measured):
 rng = np.random.default_rng(2)
 block = jb.simulate(strips=2, images=5, control_rows=3, control_sigma=0.02, check_points=0, seed=3).truth
 model = jb.cameras.CameraModel("spline", ("principal_distance", "x0", "y0", *names), spline_camera)
-camera = dataclasses.replace(block.structure.cameras[0], model=model, image_unit="mm", metric=False)
+camera = dataclasses.replace(block.structure.cameras[0], model=model, image_unit="mm", principal_distance_in_mm=False)
 held = np.zeros((1, 3 + KNOTS), bool)
 block = dataclasses.replace(
     block, structure=dataclasses.replace(block.structure, cameras=(camera,), interior_free=held)

@@ -249,7 +249,7 @@ def test_earlier_results_are_replaced_and_other_files_kept(adjustment, tmp_path)
 @pytest.mark.parametrize("name", ["images.csv", "report.txt"])
 def test_files_of_others_are_not_overwritten(adjustment, tmp_path, name):
     (tmp_path / name).write_text("mine")
-    with pytest.raises(FileExistsError, match=f"holds {name}, which no adjustment wrote"):
+    with pytest.raises(FileExistsError, match=f"contains {name}, which no adjustment wrote"):
         write_report(adjustment, tmp_path)
     assert [path.name for path in tmp_path.iterdir()] == [name] and (tmp_path / name).read_text() == "mine"
 

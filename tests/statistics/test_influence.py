@@ -194,7 +194,7 @@ def test_refusals(adjustment):
     block = adjustment.block
     with pytest.raises(ValueError, match="control means observations other than image coordinates"):
         influence(adjustment, image_coordinates(block))
-    with pytest.raises(ValueError, match="nothing: control is"):
+    with pytest.raises(ValueError, match="nothing: control means"):
         influence(adjustment, Subset("nothing", tuple(mask & False for mask in all_control(block).masks)))
     held = dataclasses.replace(
         block, structure=dataclasses.replace(block.structure, point_free=block.structure.point_free & False), groups=()
