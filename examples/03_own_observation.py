@@ -9,7 +9,6 @@ Prints a table: standard deviations and true errors of the heights, without and 
 
 import dataclasses
 
-import equinox as eqx
 import jax
 import jax.numpy as jnp
 import numpy as np
@@ -39,8 +38,8 @@ members = np.stack([shore, np.zeros_like(shore)], 1)
 zero = np.zeros((len(shore), 1))
 group = jb.observations.observation_group(water_level, members, values=zero, sigmas=zero + 0.05, constants=zero)
 structure = dataclasses.replace(block.structure, parameters=(jb.blocks.Parameter("level of the lake", "m"),))
-with_lake = dataclasses.replace(block, structure=structure, groups=(*block.groups, group))
-with_lake = eqx.tree_at(lambda b: b.parameters, with_lake, jnp.array([2.0]))  # approximate level
+level = jnp.array([2.0])  # approximate value
+with_lake = dataclasses.replace(block, structure=structure, groups=(*block.groups, group), parameters=level)
 
 print("heights of tie points off the shore [m]: standard deviation and true error, root mean squares")
 others = np.setdiff1d(np.arange(len(block.structure.point_names)), [*control, *shore])

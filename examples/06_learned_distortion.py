@@ -10,7 +10,6 @@ Prints a table: errors of training and test points without, with the learned and
 
 import dataclasses
 
-import equinox as eqx
 import jax
 import jax.numpy as jnp
 import numpy as np
@@ -46,13 +45,12 @@ block = jb.simulate(strips=2, images=5, control_rows=3, control_sigma=0.02, chec
 model = jb.cameras.CameraModel("spline", ("principal_distance", "x0", "y0", *names), spline_camera)
 camera = dataclasses.replace(block.structure.cameras[0], model=model, image_unit="mm", principal_distance_in_mm=False)
 held = np.zeros((1, 3 + KNOTS), bool)
-block = dataclasses.replace(
-    block, structure=dataclasses.replace(block.structure, cameras=(camera,), interior_free=held)
-)
+structure = dataclasses.replace(block.structure, cameras=(camera,), interior_free=held)
 true = jnp.array([[C, 0.0, 0.0, 0.0, 0.05, 0.25, 0.45, 0.4, 0.1]])
 shape = block.rays.coordinates.shape
-block = eqx.tree_at(lambda b: (b.interior.elements, b.rays.sigmas), block, (true, jnp.full(shape, SIGMA)))
-block = eqx.tree_at(lambda b: b.rays.coordinates, block, exact_coordinates(block)[0] + SIGMA * rng.normal(size=shape))
+block = dataclasses.replace(block, structure=structure, interior=jb.blocks.InteriorOrientation(true))
+block = block.replace(sigmas={"rays": SIGMA})
+block = block.replace(image_coordinates=exact_coordinates(block)[0] + SIGMA * rng.normal(size=shape))
 
 # half of the tie points are known: they train; the others test
 tie = np.setdiff1d(np.arange(len(block.object_points)), block.groups[0].structure.indices[:, 0])
@@ -61,8 +59,7 @@ train, test = tie[::2], tie[1::2]
 
 def errors(numbers, points):
     """Mean square of the points' errors [mm^2] after an adjustment with these numbers."""
-    elements = true.at[0, 3:].set(numbers)
-    result = jb.adjust(eqx.tree_at(lambda b: b.interior.elements, block, elements), precision=False)
+    result = jb.adjust(block.replace(interior=true.at[0, 3:].set(numbers)), precision=False)
     return jnp.mean((1000 * (result.block.object_points - block.object_points)[points]) ** 2)
 
 

@@ -7,7 +7,6 @@ known points' mean square error, through the whole adjustment, downhill. Every o
 Prints a table: errors of the test points with the given, the tuned and the true sigmas.
 """
 
-import equinox as eqx
 import jax
 import jax.numpy as jnp
 import numpy as np
@@ -28,7 +27,7 @@ block = jb.simulate(
 known = block.object_points
 strip = np.array([int(name[0]) - 1 for name in block.structure.image_names])[block.structure.ray_image]
 errors = SIGMA * np.append(1.0, TRUE)[strip][:, None] * rng.normal(size=(len(strip), 2))
-block = eqx.tree_at(lambda b: b.rays.coordinates, block, jnp.asarray(exact_coordinates(block)[0] + errors))
+block = block.replace(image_coordinates=exact_coordinates(block)[0] + errors)
 
 tie = np.setdiff1d(np.arange(len(known)), block.groups[0].structure.indices[:, 0])
 train, test = tie[::2], tie[1::2]
@@ -37,8 +36,7 @@ train, test = tie[::2], tie[1::2]
 def error(logarithms: jax.Array, points: np.ndarray) -> jax.Array:
     """Mean square of the errors of known points, in cm^2."""
     sigmas = SIGMA * jnp.exp(jnp.append(0.0, logarithms))[strip][:, None] * jnp.ones(2)
-    weighted = eqx.tree_at(lambda b: b.rays.sigmas, block, sigmas)
-    adjusted = jb.adjust(weighted, precision=False).block.object_points
+    adjusted = jb.adjust(block.replace(sigmas={"rays": sigmas}), precision=False).block.object_points
     return jnp.mean((100 * (adjusted - known)[points]) ** 2)
 
 

@@ -10,7 +10,6 @@ adjustment by the measured coordinates l_i of ray i, v_i its residual and T a ta
 Prints a table: the effect of each ray by its derivative, and by adjusting again without it.
 """
 
-import equinox as eqx
 import jax
 import numpy as np
 
@@ -28,7 +27,7 @@ target = int(np.setdiff1d(np.flatnonzero(count == 3), control)[0])
 
 def residuals_and_target(coordinates: jax.Array) -> tuple[jax.Array, jax.Array]:
     """Residuals of all rays and the target's coordinates, by the measured coordinates."""
-    result = jb.adjust(eqx.tree_at(lambda b: b.rays.coordinates, block, coordinates), precision=False)
+    result = jb.adjust(block.replace(image_coordinates=coordinates), precision=False)
     return result.residuals[0], result.block.object_points[target]
 
 

@@ -151,7 +151,7 @@ def test_a_traced_adjustment_tells_no_status(block: jb.Block, name: str):
         found = jb.adjust(eqx.tree_at(lambda b: b.rays.coordinates, block, xy), precision=False)
         return found.sigma0 if getattr(found, name) else jnp.zeros(())
 
-    with pytest.raises(ValueError, match="unknown inside jit, grad and vmap: read it outside them"):
+    with pytest.raises(ValueError, match="unknown inside jit, grad and vmap: read it outside"):
         jax.eval_shape(asked, block.rays.coordinates)
 
 
