@@ -45,7 +45,7 @@ def with_datum(block: Block) -> Block:
         return block
     if not block.concrete:
         raise ValueError(
-            "the datum is chosen before tracing: call block = jaxbundle.with_datum(block) outside jit, grad and vmap"
+            "the datum is chosen before tracing: call block = jb.blocks.with_datum(block) outside jit, grad and vmap"
         )
     defect = datum_defect(block)
     if structure.datum.kind == "inner" and (defect.count == 0 or is_located(block)):
