@@ -26,7 +26,7 @@ def test_blocks_of_other_programs(run, tmp_path, shared_data):
 def test_an_adjusted_block_goes_back(run, tmp_path, shared_data):
     rig = shared_data / "exchange" / "colmap" / "rig2_synthetic" / "bin"
     options = ("--no-precision", "--write", "back", "--to", "colmap", "--export", "points.ply")
-    said = "Results: results\nExport: points.ply\nnot held by colmap: the datum\n"
+    said = "Results: results\nExport: points.ply\nnot written (colmap cannot represent it): the datum\n"
     code, out, _ = run("adjust", rig, "--out", "results", *options)
     assert code == 0 and out.endswith(f"{said}Adjusted block: back\n")
     again = read(tmp_path / "back", check_start=False)
