@@ -76,7 +76,7 @@ def weak_datum(block: Block, sigma0: float) -> tuple[Finding, ...]:
     directions = (vectors * np.sqrt(np.maximum(values, 0.0)))[:, ::-1]  # the weakest first
     moves = displacements(directions, points, frame.radius)
     for direction, move in zip(directions.T, moves, strict=True):
-        angle, inside = float(np.linalg.norm(direction[3:6])), np.linalg.norm(move - move.mean(0), axis=1)
+        angle, inside = float(np.linalg.norm(direction[3:6])), np.linalg.norm(move - np.median(move, axis=0), axis=1)
         if angle > MAX_ANGLE or np.median(inside) > MAX_SHARE * extent:
             moved = float(np.linalg.norm(move, axis=1).max())
             return (_finding(block, direction[:, None], moved, angle, Severity.FAILED),)
