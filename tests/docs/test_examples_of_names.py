@@ -34,6 +34,8 @@ SHOWN = {
     "jaxbundle.imagery.tied.match_tied",
     "jaxbundle.measuring.measurement.measure",
 }
+# examples that need a package which the tests do not install
+NEEDED = {"jaxbundle.report.rerun_file.to_rerun": "rerun"}
 # examples that compile programs which no other example needs: several seconds each
 MANY_PROGRAMS = (
     "jaxbundle.independent.",
@@ -115,6 +117,8 @@ def test_every_public_name_has_an_example(capsys):
 
 def run(name: str, context: dict[str, Any]) -> None:
     """Runs the example of a name."""
+    if name in NEEDED:
+        pytest.importorskip(NEEDED[name])
     text = docstring(*name.rsplit(".", 1))
     assert "+SKIP" not in text
     test = doctest.DocTestParser().get_doctest(text, dict(context), name, None, 0)

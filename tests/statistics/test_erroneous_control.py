@@ -104,7 +104,7 @@ def test_ratios_of_row_14(rows):
 def test_formula_of_the_text(example):
     """Q = (A^T W A)^-1 with W = (I + B P3^-1 B^T)^-1 beside Q0 = (A^T A)^-1, of orientation alone, P1 = I."""
     weights = np.array([10, 10, 10, 4e-5])
-    start = example["photo"](example["CONTROL"], weights, jnp.zeros((4, 2)))
+    start = example["photo"](example["GIVEN"], weights, jnp.zeros((4, 2)))
     block = eqx.tree_at(lambda b: b.rays.coordinates, start, jnp.asarray(exact_coordinates(start)[0]))
     adjusted = adjust(block, precision=False)
     unknowns, observations = centred(adjusted.block)
