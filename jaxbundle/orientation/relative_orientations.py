@@ -6,7 +6,7 @@
 The third component of the base (dependent) or its length (independent) is the given scale of the model.
 """
 
-from typing import Any, Literal
+from typing import Any, Literal, NamedTuple
 
 import equinox as eqx
 import jax
@@ -189,14 +189,27 @@ def relative_orientation(
             raise ValueError("a sigma is not positive; give a positive standard deviation, infinite to exclude a point")
     interiors = tuple(jnp.asarray(elements, float) for _, elements in cameras)
     number = 1 if count == 5 else samples
-    options = (cameras[0][0], cameras[1][0]), convention, robust, number
-    given = interiors, (xy, xy2, s), jnp.asarray(base, float), jnp.asarray(seed)
-    return _orientation(options, *given, optimised=False)
+    options = (cameras[0][0], cameras[1][0]), robust, number
+    oriented = _oriented(options, interiors, (xy, xy2, s), jnp.asarray(seed), optimised=False)
+    return _answer(convention, oriented, s, jnp.asarray(base, float), optimised=False)
+
+
+class Oriented(NamedTuple):
+    """The orientation before its elements are named: the same for both conventions."""
+
+    rays: Rays
+    start: Pair
+    at: Pair
+    used: Bool[Array, " point"]
+    found: Found
+    size: Float[Array, ""]
+    """The last step [rad]."""
 
 
 @Compiled
-def _orientation(options: Any, interiors: Any, given: Any, base: Array, seed: Array) -> RelativeOrientation:
-    models, convention, robust, samples = options
+def _oriented(options: Any, interiors: Any, given: Any, seed: Array) -> Oriented:
+    """The orientation by samples of five points, and by least squares."""
+    models, robust, samples = options
     first, second, s = given
     valid = jnp.isfinite(s).all(1)
     one, two = (_photo_vectors(m, i, x, s, valid) for m, i, x in zip(models, interiors, (first, second), strict=True))
@@ -212,7 +225,7 @@ def _orientation(options: Any, interiors: Any, given: Any, base: Array, seed: Ar
         at = lax.fori_loop(0, SELECTIONS, selected, at)
         used = _fitting(at, rays)
     at, size = coplanarity.refined(at, rays, coplanarity.squares(used), FINAL_STEPS)
-    return _answer(convention, rays, (start, at), used, (found, size, base, s))
+    return Oriented(rays, start, at, used, found, size)
 
 
 def _fitting(at: Pair, rays: Rays) -> Bool[Array, " point"]:
@@ -249,9 +262,10 @@ def _named(convention: str, at: Pair, fixed: Array, base: Array) -> tuple[Array,
     return jnp.stack([phi, kappa, *angles]), turn, base, second
 
 
-def _answer(convention: str, rays: Rays, pairs: tuple[Pair, Pair], used: Array, rest: tuple) -> RelativeOrientation:
-    (start, at), (found, size, base, s) = pairs, rest
-    found: Found
+@Compiled
+def _answer(convention: str, oriented: Oriented, s: Float[Array, "point 2"], base: Array) -> RelativeOrientation:
+    """The elements of a convention, their precision, and the model."""
+    rays, start, at, used, found, size = oriented
     fixed = jnp.argmax(jnp.abs(at.base))
     cost, normals, _, _ = coplanarity.normal_equations(at, rays, coplanarity.squares(used))
     scale = 1 / jnp.sqrt(jnp.diagonal(normals))
