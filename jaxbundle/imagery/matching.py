@@ -32,7 +32,8 @@ from jaxbundle.numerics.program_cache import prepare_jax
 
 UNKNOWNS = 8
 MAX_STEP = 1.0  # px: for larger steps the linearised grey values are meaningless
-TOGETHER = 256  # windows per program call: a few MB of rows
+TOGETHER = 256  # windows per program call
+PIXELS_FOR_OPTIMISATION = 500_000  # of all templates: below this, matching takes less time than optimising its program
 NEWTON_STEPS = 4  # after Gauss-Newton, if derivatives are requested: the last steps are exact
 FLAT = 1e-10  # reciprocal condition of scaled normal equations: below this they are undetermined
 
@@ -115,8 +116,8 @@ def match(
     limits, form = Limits(*map(on_device, chosen)), Form(options.parameters, options.interpolation == "bilinear")
     if not is_concrete(pairs):
         return jax.vmap(lambda pair: _differentiable(form, limits, pair))(pairs)
-    firsts = range(0, max(count, 1), TOGETHER)
-    parts = [_matched(form, limits, _padded(pairs, first), optimised=True) for first in firsts]
+    firsts, many = range(0, max(count, 1), TOGETHER), pairs.template.size > PIXELS_FOR_OPTIMISATION
+    parts = [_matched(form, limits, _padded(pairs, first), optimised=many) for first in firsts]
     return jax.tree.map(lambda *x: on_device(np.concatenate(x)[:count]), *parts)
 
 
@@ -132,7 +133,8 @@ def _padded(pairs: Pair, first: int) -> Pair:
 
 @Compiled
 def _matched(form: Form, limits: Limits, pairs: Pair) -> Matches:
-    return jax.vmap(lambda pair: _chosen(form, limits, pair)[1])(pairs)
+    # one window after the other: a batch would iterate all its windows as often as the slowest one
+    return lax.map(lambda pair: _chosen(form, limits, pair)[1], pairs)
 
 
 def residuals(p: Float[Array, "8"], pair: Pair, surface: Array, bilinear: bool) -> Float[Array, " pixel"]:
@@ -142,27 +144,36 @@ def residuals(p: Float[Array, "8"], pair: Pair, surface: Array, bilinear: bool) 
     return p[6] + p[7] * g - pair.template.ravel()
 
 
-def _places(p: Array, pair: Pair) -> tuple[Array, Array]:
-    """Positions of the template's pixels in the searched window."""
+def _from_reference(pair: Pair) -> tuple[Array, Array]:
+    """Coordinates of the template's pixels from its reference point."""
     rows, columns = pair.template.shape
     x = jnp.tile(jnp.arange(columns) + 0.5, rows) - pair.reference[0]
-    y = jnp.repeat(jnp.arange(rows) + 0.5, columns) - pair.reference[1]
+    return x, jnp.repeat(jnp.arange(rows) + 0.5, columns) - pair.reference[1]
+
+
+def _places(p: Array, pair: Pair) -> tuple[Array, Array]:
+    """Positions of the template's pixels in the searched window."""
+    x, y = _from_reference(pair)
     return p[0] + p[1] * x + p[2] * y, p[3] + p[4] * x + p[5] * y
 
 
 def normal_equations(p: Array, pair: Pair, surface: Array, bilinear: bool) -> tuple[Array, Array, Array]:
     """Computes N = A^T A, A^T v and v^T v; rows from the derivatives of the interpolant along both coordinates."""
-    (x, y), one = _places(p, pair), jnp.ones(pair.template.size)
-    interpolant = spline.bilinear if bilinear else spline.value
-    g, gx = jax.jvp(lambda x: interpolant(surface, x, y), (x,), (one,))
-    _, gy = jax.jvp(lambda y: interpolant(surface, x, y), (y,), (one,))
-    rows, columns = pair.template.shape
-    u = jnp.tile(jnp.arange(columns) + 0.5, rows) - pair.reference[0]
-    w = jnp.repeat(jnp.arange(rows) + 0.5, columns) - pair.reference[1]
+    x, y = _places(p, pair)
+    g, gx, gy = _with_slopes(surface, x, y, bilinear)
+    u, w = _from_reference(pair)
     gx, gy = p[7] * gx, p[7] * gy
-    a = jnp.stack([gx, gx * u, gx * w, gy, gy * u, gy * w, one, g])
+    a = jnp.stack([gx, gx * u, gx * w, gy, gy * u, gy * w, jnp.ones_like(g), g])
     v = p[6] + p[7] * g - pair.template.ravel()
     return a @ a.T, a @ v, v @ v
+
+
+def _with_slopes(surface: Array, x: Array, y: Array, bilinear: bool) -> tuple[Array, Array, Array]:
+    """Grey values with their derivatives along x and y."""
+    interpolant, one = spline.bilinear if bilinear else spline.value, jnp.ones_like(x)
+    g, gx = jax.jvp(lambda x: interpolant(surface, x, y), (x,), (one,))
+    gy = jax.jvp(lambda y: interpolant(surface, x, y), (y,), (one,))[1]
+    return lax.optimization_barrier((g, gx, gy))  # else the compiler evaluates them again for each row of equations
 
 
 def _factor(normals: Array, free: Array) -> tuple[Array, Array, Array]:
@@ -222,10 +233,12 @@ def _chosen(form: Form, limits: Limits, pair: Pair) -> tuple[Array, Matches]:
     modes = {"shift": [False], "affine": [True], "tested": [False, True]}[form.parameters]
     shift_only = np.array([True, False, False, True, False, False, True, True])
     free = jnp.asarray(np.stack([np.ones(UNKNOWNS, bool) if affine else shift_only for affine in modes]))
-    states, covariances, s0 = jax.vmap(lambda f: _solution(form.bilinear, limits, pair, surface, f))(free)
-    found = jax.vmap(lambda s, c, s0: _result(form.bilinear, limits, pair, surface, (s, c, s0)))(
-        states, covariances, s0
-    )
+
+    def solved(free: Array) -> tuple[_State, Array, Matches]:
+        state, covariance, s0 = _solution(form.bilinear, limits, pair, surface, free)
+        return state, covariance, _result(form.bilinear, limits, pair, surface, (state, covariance, s0))
+
+    states, covariances, found = lax.map(solved, free)
     k = jnp.asarray(0)
     if len(modes) == 2:
         variance = jnp.diagonal(covariances[1])[jnp.array([1, 2, 4, 5])]
