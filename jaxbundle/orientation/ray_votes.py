@@ -17,7 +17,7 @@ def votes(
     `common`, `pairs`: the same pairs; `second`: mask of the pairs whose second orientation is correct.
     """
     fits, total = (np.zeros(len(directions.image), int) for _ in range(2))
-    lengths = np.array([len(rays) for rays in common.rays])
+    lengths = np.array([len(rays) for rays in common.rays], int)
     for first in _groups(lengths):
         index = np.concatenate([common.rays[k] for k in first])
         pair = np.repeat(first, lengths[first])
