@@ -134,6 +134,7 @@ def test_scatter_is_the_covariance():
     assert (np.asarray(sigma0) ** 2).mean() == pytest.approx(1.0, abs=4 * np.sqrt(2 / 13 / draws))
 
 
+@pytest.mark.usefixtures("unchecked_types")  # shapes that do not fit
 @pytest.mark.parametrize(
     ("change", "message"),
     [
