@@ -2,7 +2,10 @@ import gc
 import os
 from pathlib import Path
 
-import jax
+# before the workers import numpy: on busy cores, threads of BLAS that wait take ten times the time of the computation
+os.environ.setdefault("OPENBLAS_NUM_THREADS", "1")
+
+import jax  # noqa: E402
 import pytest
 from hypothesis import settings
 

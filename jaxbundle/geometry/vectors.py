@@ -1,10 +1,18 @@
 """Vectors in space, as three scalars; a scalar may be an array of any shape."""
 
 import jax.numpy as jnp
+import numpy as np
+from jaxtyping import Float
 
 from jaxbundle.geometry.rotation import Scalar
 
 Vector = tuple[Scalar, Scalar, Scalar]
+
+
+def components(rows: Float[np.ndarray, "... 3"]) -> Vector:
+    """The components of many vectors: sums over three long arrays are faster than over many rows of three."""
+    x, y, z = (np.ascontiguousarray(rows[..., k]) for k in range(3))
+    return x, y, z
 
 
 def plus(a: Vector, b: Vector) -> Vector:

@@ -10,6 +10,8 @@ from typing import NamedTuple
 import numpy as np
 from jaxtyping import Bool, Float, Int
 
+from jaxbundle.geometry.rotation import apply
+from jaxbundle.geometry.vectors import Vector, components, cross, dot
 from jaxbundle.numerics.host import on_device
 from jaxbundle.orientation.common_rays import MIN_COMMON, CommonRays, Directions, spread
 from jaxbundle.orientation.pair_kernel import PARALLEL, REJECTED, PairRays, oriented_pairs
@@ -121,8 +123,8 @@ def _looked_at(
 ) -> tuple[Int[np.ndarray, " pair"], Float[np.ndarray, " pair"]]:
     """Numbers of rays that fit the best orientation, and median angles between the rays of a point."""
     rotation, base = values[:, :9, 0].reshape(-1, 3, 3), values[:, 9:, 0]
-    y = np.einsum("pij,pkj->pki", rotation, rays.first)
-    fits, sine_squared = pair_fits(y, rays.second, base[:, None], rays.variance)
+    y = apply(tuple(rotation.reshape(-1, 9, 1).swapaxes(0, 1)), components(rays.first))
+    fits, sine_squared = pair_fits(y, components(rays.second), components(base[:, None]), rays.variance)
     fits &= rays.valid
     counted = np.where(fits.any(1, keepdims=True), fits, rays.valid)  # of wrong rays the angles are anything
     angle = np.where(counted, np.sqrt(np.maximum(sine_squared, 0)), np.nan)
@@ -130,17 +132,14 @@ def _looked_at(
 
 
 def pair_fits(
-    y: Float[np.ndarray, "... 3"],
-    second: Float[np.ndarray, "... 3"],
-    base: Float[np.ndarray, "... 3"],
-    variance: Float[np.ndarray, "..."],
+    y: Vector, second: Vector, base: Vector, variance: Float[np.ndarray, "..."]
 ) -> tuple[Bool[np.ndarray, "..."], Float[np.ndarray, "..."]]:
     """Whether rays fit and do not meet behind a photograph, and squared sines of the angles between them.
 
     `y`, `second`: rays in the system of the second photograph; `base`: unit vector.
     """
-    f = (base * np.cross(y, second)).sum(-1)
-    a, yt, dt = (y * second).sum(-1), (y * base).sum(-1), (second * base).sum(-1)
+    f = np.asarray(dot(base, cross(y, second)))
+    a, yt, dt = np.asarray(dot(y, second)), np.asarray(dot(y, base)), np.asarray(dot(second, base))
     g = 2 - yt**2 - dt**2 - 2 * f * f
     fits = f * f < REJECTED * variance * np.maximum(g, 1e-12)
     behind = (1 - a * a > 2 * PARALLEL * variance) & ((a * dt - yt <= 0) | (dt - a * yt <= 0))

@@ -15,6 +15,8 @@ from jaxtyping import Bool, Float, Int
 from jaxbundle.block.block import Block
 from jaxbundle.block.given import require_a
 from jaxbundle.block.problems import BlockError, Problem
+from jaxbundle.geometry.rotation import apply
+from jaxbundle.geometry.vectors import components
 from jaxbundle.numerics.host import on_device
 from jaxbundle.numerics.program_cache import prepare_jax
 from jaxbundle.orientation.anchors import Given, anchors_of, given_of
@@ -154,7 +156,8 @@ def _rays(work: _Work, state: State, images: Bool[np.ndarray, " image"]) -> tupl
     d = work.directions
     of = np.flatnonzero(images[d.image])
     image = d.image[of]
-    along = np.einsum("rij,rj->ri", state.rotation[image], d.vector[of])
+    rotation = state.rotation.reshape(-1, 9).T[:, image]
+    along = np.stack(apply(tuple(rotation), components(d.vector[of])), 1)
     return Rays(image, d.point[of], along, state.centre[image], SPREAD * d.sigma[of], state.believed[of]), of
 
 

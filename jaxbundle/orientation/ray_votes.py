@@ -3,6 +3,8 @@
 import numpy as np
 from jaxtyping import Bool, Float, Int
 
+from jaxbundle.geometry.rotation import apply
+from jaxbundle.geometry.vectors import Vector
 from jaxbundle.orientation.block_pairs import BlockPairs, pair_fits
 from jaxbundle.orientation.common_rays import CommonRays, Directions
 
@@ -17,18 +19,24 @@ def votes(
     `common`, `pairs`: the same pairs; `second`: mask of the pairs whose second orientation is correct.
     """
     fits, total = (np.zeros(len(directions.image), int) for _ in range(2))
-    lengths = np.array([len(rays) for rays in common.rays])
-    for first in _groups(lengths):
-        index = np.concatenate([common.rays[k] for k in first])
-        pair = np.repeat(first, lengths[first])
-        k = second[pair].astype(int)
-        y = np.einsum("rij,rj->ri", pairs.rotation[pair, k], directions.vector[index[:, 0]])
-        variance = (directions.sigma[index] ** 2).mean(1)
-        good, _ = pair_fits(y, directions.vector[index[:, 1]], pairs.base[pair, k], variance)
-        for side in range(2):
-            total += np.bincount(index[:, side], minlength=len(total))
-            fits += np.bincount(index[good, side], minlength=len(total))
+    lengths = np.array([len(rays) for rays in common.rays], int)
+    every = np.arange(len(lengths))
+    rotation = pairs.rotation[every, second.astype(int)].reshape(-1, 9).T
+    base, vector = pairs.base[every, second.astype(int)].T, np.ascontiguousarray(directions.vector.T)
+    for group in _groups(lengths):
+        one, other = np.concatenate([common.rays[k] for k in group]).T
+        pair = np.repeat(group, lengths[group])
+        y = apply(tuple(rotation[:, pair]), _vector(vector[:, one]))
+        variance = (directions.sigma[one] ** 2 + directions.sigma[other] ** 2) / 2
+        good, _ = pair_fits(y, _vector(vector[:, other]), _vector(base[:, pair]), variance)
+        for rays in (one, other):
+            total += np.bincount(rays, minlength=len(total))
+            fits += np.bincount(rays[good], minlength=len(total))
     return fits, total
+
+
+def _vector(rows: Float[np.ndarray, "3 ray"]) -> Vector:
+    return rows[0], rows[1], rows[2]
 
 
 def _groups(lengths: Int[np.ndarray, " pair"]) -> list[Int[np.ndarray, " chosen"]]:

@@ -10,6 +10,7 @@ from typing import NamedTuple
 import numpy as np
 from jaxtyping import Bool, Float, Int
 
+from jaxbundle.geometry.vectors import components, cross, dot, squared
 from jaxbundle.orientation.intersection import closest_to_rays
 
 DEPTHS = 2.0 ** np.arange(-3, 7)  # share of a typical depth
@@ -75,10 +76,9 @@ def _passed(
     rays: Rays, points: Float[np.ndarray, "point 3"]
 ) -> tuple[Float[np.ndarray, " ray"], Float[np.ndarray, " ray"]]:
     """Sines of the angles between rays and points, and depths of the points along the rays."""
-    vector = points[rays.point] - rays.centre
-    distance = np.linalg.norm(vector, axis=1)
-    sine = np.linalg.norm(np.cross(vector, rays.along), axis=1) / np.maximum(distance, 1e-300)
-    return sine, (vector * rays.along).sum(1)
+    vector, along = components(points[rays.point] - rays.centre), components(rays.along)
+    sine = np.sqrt(np.asarray(squared(cross(vector, along)))) / np.maximum(np.sqrt(np.asarray(squared(vector))), 1e-300)
+    return sine, np.asarray(dot(vector, along))
 
 
 def _cost(off: Float[np.ndarray, " ray"], point: Int[np.ndarray, " ray"], count: int) -> Float[np.ndarray, " point"]:

@@ -30,17 +30,17 @@ def without_scale(
     three = np.flatnonzero(p[2:] == p[:-2]) if len(p) > 2 else np.zeros(0, int)
     if images.sum() < 3:
         return np.zeros_like(images)
-    a, b, c = i[three], i[three + 1], i[three + 2]
     number = len(images)
-    links = np.concatenate(
-        [np.stack([a * number + b, b * number + c], 1), np.stack([a * number + b, a * number + c], 1)]
-    )
-    unique, count = np.unique(links, axis=0, return_counts=True)
-    unique = unique[count >= ENOUGH]
-    if not len(unique):
+    a, b, c = i[three], i[three + 1], i[three + 2]
+    names, pairs = np.unique(np.concatenate([a * number + b, b * number + c, a * number + c]), return_inverse=True)
+    ab, bc, ac = pairs.reshape(3, -1)
+    links, count = np.unique(np.concatenate([ab * len(names) + bc, ab * len(names) + ac]), return_counts=True)
+    links = links[count >= ENOUGH]
+    if not len(links):
         return images.copy()
-    nodes, at = np.unique(unique.ravel(), return_inverse=True)
-    rows, columns = at.reshape(-1, 2).T
+    kept, at = np.unique(np.concatenate(np.divmod(links, len(names))), return_inverse=True)
+    nodes = names[kept]
+    rows, columns = at.reshape(2, -1)
     graph = scipy.sparse.csr_matrix((np.ones(len(rows)), (rows, columns)), (len(nodes), len(nodes)))
     part = connected_components(graph, directed=False)[1]
     covered = np.zeros_like(images)

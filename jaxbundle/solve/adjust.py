@@ -34,7 +34,7 @@ from jaxbundle.solve.answer import Ended, adjustment
 from jaxbundle.solve.checkpoint import Checkpointer, fingerprint, require_same_block
 from jaxbundle.solve.damping import Marquardt, Undamped
 from jaxbundle.solve.free_network import constrained, freed
-from jaxbundle.solve.history import History, history_of
+from jaxbundle.solve.history import History, HistoryEntry, history_of
 from jaxbundle.solve.implicit import minimum
 from jaxbundle.solve.initial_state import require_finite_start
 from jaxbundle.solve.levenberg_marquardt import Arguments, BundleSolver, Solved, State
@@ -267,7 +267,7 @@ def _step_by_step(run: _Run, checkpointer: Checkpointer | None) -> tuple[Ordered
     unknowns, problem, state = placed(to_elimination_order(run.plan, start), run.args.problem, state)
     found = Solved(unknowns, state, optx.RESULTS.nonlinear_max_steps_reached)
     args, interrupted, costs, creeping = run.args._replace(problem=problem), False, [], False
-    entries: list[tuple[int, float, float, float, bool]] = []
+    entries: list[HistoryEntry] = []
     try:
         while int(found.state.trials) < most and not bool(found.state.ended) and not creeping:
             before = int(found.state.accepted)
@@ -276,8 +276,7 @@ def _step_by_step(run: _Run, checkpointer: Checkpointer | None) -> tuple[Ordered
             if int(state.trials) == 1 and not np.isfinite(float(state.initial_cost)):
                 require_finite_start(run.block, run.plan, found.unknowns, args.problem)
             accepted = int(state.accepted) > before
-            numbers = float(state.cost), float(state.used_damping), float(state.step)
-            entries.append((int(state.trials) - 1, *numbers, accepted))
+            entries.append(_entry(state, accepted))
             if checkpointer is not None and accepted and not bool(state.ended):
                 # the last step is not saved: a resumed solve repeats it with the same result
                 checkpointer.save(to_block_order(run.plan, found.unknowns), state)
@@ -293,11 +292,9 @@ def _step_by_step(run: _Run, checkpointer: Checkpointer | None) -> tuple[Ordered
             raise  # the other processes would wait for ever; or there is no accepted step
         interrupted = not bool(found.state.ended)
     if creeping:
-        further = _undamped(run, found, args)
+        further, full_steps = _undamped(run, found, args)
         if further is not None:
-            found, creeping = further, False
-            last = float(found.state.cost), 0.0, float(found.state.step), True
-            entries.append((int(found.state.trials) - 1, *last))
+            found, creeping, entries = further, False, [*entries, *full_steps]
     state, result = jax.tree.map(lambda x: on_device(on_host(x)), (found.state, found.result))
     status = Status.INTERRUPTED if interrupted else Status(int(status_of(result)))
     if creeping and status is Status.MAXIMUM_ITERATIONS:
@@ -305,16 +302,21 @@ def _step_by_step(run: _Run, checkpointer: Checkpointer | None) -> tuple[Ordered
     return found.unknowns, _iterations(state, on_device(int(status)), history_of(entries, most))
 
 
-def _undamped(run: _Run, found: Solved, args: Arguments) -> Solved | None:
-    """Full Gauss-Newton steps from a point at which damped ones creep; None unless they converge at a smaller
-    cost."""
-    damping, steps = Undamped(), min(UNDAMPED_STEPS, run.options.max_iterations - int(found.state.trials))
-    if steps <= 0:
-        return None
-    state = found.state._replace(damping=damping.initial_state())
-    further = solver.run(BundleSolver(damping), found.unknowns, args, state, steps, optimised=run.optimised)
-    converged = int(status_of(further.result)) == Status.CONVERGED and bool(further.state.ended)
-    return further if converged and float(further.state.cost) <= float(found.state.cost) else None
+def _undamped(run: _Run, found: Solved, args: Arguments) -> tuple[Solved | None, list[HistoryEntry]]:
+    """Full Gauss-Newton steps from a point at which damped ones creep, with their entries in the history.
+
+    None unless they converge, at a smaller cost.
+    """
+    damping, entries = Undamped(), []
+    bundle, further = BundleSolver(damping), found._replace(state=found.state._replace(damping=damping.initial_state()))
+    for _ in range(min(UNDAMPED_STEPS, run.options.max_iterations - int(found.state.trials))):
+        further = solver.run(bundle, further.unknowns, args, further.state, 1, optimised=run.optimised)
+        entries.append(_entry(further.state, True))  # without an accepted step the solve ends, and is not used
+        if bool(further.state.ended):
+            break
+    converged = bool(further.state.ended) and int(status_of(further.result)) == Status.CONVERGED
+    smaller = float(further.state.cost) <= float(found.state.cost)
+    return (further if converged and smaller else None), entries
 
 
 def is_creeping(block: Block, costs: list[float]) -> bool:
@@ -327,6 +329,10 @@ def is_creeping(block: Block, costs: list[float]) -> bool:
         return False
     fallen, variance = 2 * (costs[-1 - CREEPING_STEPS] - costs[-1]), 2 * costs[-1] / max(block.redundancy, 1)
     return fallen < variance and bool(weak_datum(block, float(np.sqrt(variance))))
+
+
+def _entry(state: State, accepted: bool) -> HistoryEntry:
+    return int(state.trials) - 1, float(state.cost), float(state.used_damping), float(state.step), accepted
 
 
 def _iterations(state: State, status: Array, history: History) -> Iterations:

@@ -9,6 +9,9 @@ from jaxtyping import Array, Bool, Float, Int
 
 from jaxbundle.numerics.host import on_device
 
+HistoryEntry = tuple[int, float, float, float, bool]
+"""Index of an iteration, cost, damping, step, and whether the step was applied."""
+
 
 class History(NamedTuple):
     """Numbers of all iterations in order; unused entries are NaN and False."""
@@ -33,7 +36,7 @@ def empty_history(max_iterations: int) -> History:
     return History(unknown, unknown, unknown, on_device(np.zeros(max_iterations, bool)))
 
 
-def history_of(entries: Iterable[tuple[int, float, float, float, bool]], max_iterations: int) -> History:
+def history_of(entries: Iterable[HistoryEntry], max_iterations: int) -> History:
     """The history of entries that the host has collected: index, cost, damping, step, accepted."""
     arrays = [np.full(max_iterations, np.nan) for _ in range(3)] + [np.zeros(max_iterations, bool)]
     for index, *values in entries:

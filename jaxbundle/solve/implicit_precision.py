@@ -17,7 +17,7 @@ import jax
 import jax.numpy as jnp
 import numpy as np
 from jax.flatten_util import ravel_pytree
-from jaxtyping import Array, Float, Int
+from jaxtyping import Array, Float, Int, Shaped
 
 from jaxbundle.block.block import Structure
 from jaxbundle.block.design import MAX_UNKNOWNS
@@ -115,7 +115,7 @@ def _dense(x: OrderedUnknowns, p: Problem, free: Int[Array, " free"]) -> Precisi
     zero = zero_vector(p)
     sizes = np.cumsum([part.size for part in zero])
 
-    def vector(flat: Float[Array, " unknown"]) -> NormalVector:
+    def vector(flat: Shaped[Array, " unknown"]) -> NormalVector:
         return NormalVector(*(f.reshape(z.shape) for f, z in zip(jnp.split(flat, sizes[:-1]), zero, strict=True)))
 
     def residuals(d: Float[Array, " free"]) -> tuple[Array, ...]:
@@ -124,7 +124,7 @@ def _dense(x: OrderedUnknowns, p: Problem, free: Int[Array, " free"]) -> Precisi
     columns = jax.jacfwd(residuals)(jnp.zeros(free.shape))
     design = jnp.concatenate([a.reshape(-1, len(free)) for a in columns])
     scale = 1 / jnp.linalg.norm(design, axis=0)
-    factor = jax.scipy.linalg.cho_factor((design * scale).T @ (design * scale), lower=True)
+    factor = jax.scipy.linalg.cho_factor((design * scale[None]).T @ (design * scale[None]), lower=True)
     q = scale[:, None] * jax.scipy.linalg.cho_solve(factor, jnp.diag(scale))
     leverages = jnp.sum((design @ q) * design, 1)
     at_residual = np.cumsum([a.size // len(free) for a in columns])

@@ -172,12 +172,7 @@ def error_ellipsoids(adjustment: Adjustment) -> Ellipsoids:
         >>> ellipsoids.semi_axes.shape
         (8, 3)
     """
-    require_a(Adjustment, adjustment, "statistics.error_ellipsoids")
-    if adjustment.cofactors is None:
-        raise ValueError("this adjustment was made without standard deviations: call adjust(..., precision=True)")
-    values, vectors = np.linalg.eigh(np.asarray(adjustment.cofactors.object_points))
-    roots = float(adjustment.sigma0) * np.sqrt(np.maximum(values, 0.0))
-    return Ellipsoids(roots[:, ::-1], vectors[:, :, ::-1])
+    return _ellipsoids(adjustment, "statistics.error_ellipsoids", 3)
 
 
 def error_ellipses(adjustment: Adjustment) -> Ellipsoids:
@@ -190,9 +185,14 @@ def error_ellipses(adjustment: Adjustment) -> Ellipsoids:
         >>> ellipses.semi_axes.shape
         (8, 2)
     """
-    require_a(Adjustment, adjustment, "statistics.error_ellipses")
+    return _ellipsoids(adjustment, "statistics.error_ellipses", 2)
+
+
+def _ellipsoids(adjustment: Adjustment, caller: str, axes: int) -> Ellipsoids:
+    """Ellipsoids of the first coordinates of all object points."""
+    require_a(Adjustment, adjustment, caller)
     if adjustment.cofactors is None:
         raise ValueError("this adjustment was made without standard deviations: call adjust(..., precision=True)")
-    values, vectors = np.linalg.eigh(np.asarray(adjustment.cofactors.object_points)[:, :2, :2])
+    values, vectors = np.linalg.eigh(np.asarray(adjustment.cofactors.object_points)[:, :axes, :axes])
     roots = float(adjustment.sigma0) * np.sqrt(np.maximum(values, 0.0))
     return Ellipsoids(roots[:, ::-1], vectors[:, :, ::-1])

@@ -16,6 +16,7 @@ from jaxbundle.independent.strip_block import curb_group, normalised, polynomial
 
 pytestmark = [pytest.mark.thorough, pytest.mark.xdist_group("methods compared")]
 DRAWS = 8
+MODELS, SIZE = 6, 1.0  # models of a strip; m, error of the end of a model by its own scale and direction
 
 
 @pytest.fixture(scope="module")
@@ -103,34 +104,77 @@ def test_strips(simulation, strips):
     assert int(started.iterations.accepted) < int(jb.adjust(simulation.block, precision=False).iterations.accepted) + 1
 
 
+def _adjusted(simulation, strips, how: tuple[Form, int], places: list[np.ndarray]):
+    """Strips whose points and centres stand at these places, disturbed by their noise, adjusted by polynomials.
+
+    Returns: the adjustment, and the errors of its object points.
+    """
+    rng = np.random.default_rng(how[1])
+    names, disturbed = strips.adjustment.block.structure.image_names, []
+    for strip, frame, place in zip(strips.strips, strips.frames, places, strict=True):
+        noise = np.concatenate([strip.covariances, strip.centre_covariances])
+        factor = np.linalg.cholesky(frame.turned @ noise @ frame.turned.T)
+        errors = np.einsum("pij,pj->pi", factor, rng.standard_normal(place.shape))
+        disturbed.append(frame._replace(coordinates=place + errors))
+    sensors = polynomial_sensors(simulation.truth, strips.strips, tuple(disturbed), names, how)
+    no_curb = curb_group([{"X": 1e4, "Y": 1e4, "Z": 1e4} for _ in names], how)
+    of_strips = polynomial_block(simulation.block, strips.strips, tuple(disturbed), sensors, no_curb)
+    adjusted, count = jb.adjust(of_strips.block), len(of_strips.points)
+    truth = np.asarray(simulation.truth.object_points)[of_strips.points]
+    return adjusted, np.asarray(adjusted.block.object_points)[:count] - truth
+
+
+def _true_places(simulation, strips) -> list[np.ndarray]:
+    """Points and centres of each strip in its system."""
+    truth = simulation.truth
+    points, centres = np.asarray(truth.object_points), np.asarray(truth.exterior.projection_centre)
+    return [
+        (np.concatenate([points[strip.points], centres[strip.images]]) - frame.origin) @ frame.axes
+        for strip, frame in zip(strips.strips, strips.frames, strict=True)
+    ]
+
+
 @pytest.mark.parametrize("degree", [2, 3])
 def test_bent_strips_are_straightened(simulation, strips, degree):
     """Strips of exact coordinates, bent by polynomials of up to 20 m and disturbed by noise, come back to the noise."""
     how: tuple[Form, int] = "separate", degree
     rng = np.random.default_rng(degree)
-    truth, bent, names = simulation.truth, [], strips.adjustment.block.structure.image_names
-    points, centres = np.asarray(truth.object_points), np.asarray(truth.exterior.projection_centre)
-    bends = [rng.uniform(-20, 20, len(elements(*how))) for _ in names]
-    for strip, frame, c in zip(strips.strips, strips.frames, bends, strict=True):
-        there = (np.concatenate([points[strip.points], centres[strip.images]]) - frame.origin) @ frame.axes
-        x = there.copy()
+    bends, bent = [], []
+    for frame, there in zip(strips.frames, _true_places(simulation, strips), strict=True):
+        c, x = rng.uniform(-20, 20, len(elements(*how))), there.copy()
         for _ in range(20):  # x + T(x) C is the true place
             x = there - np.stack(np.broadcast_arrays(*correction(*how, tuple(c), tuple(normalised(frame, x).T))), 1)
-        noise = np.concatenate([strip.covariances, strip.centre_covariances])
-        noise = frame.turned @ noise @ frame.turned.T
-        x += np.einsum("pij,pj->pi", np.linalg.cholesky(noise), rng.standard_normal(x.shape))
-        bent.append(frame._replace(coordinates=x))
-    sensors = polynomial_sensors(truth, strips.strips, tuple(bent), names, how)
-    no_curb = curb_group([{"X": 1e4, "Y": 1e4, "Z": 1e4} for _ in names], how)
-    of_strips = polynomial_block(simulation.block, strips.strips, tuple(bent), sensors, no_curb)
-    adjusted = jb.adjust(of_strips.block)
+        bends.append(c)
+        bent.append(x)
+    adjusted, off = _adjusted(simulation, strips, how, bent)
     assert abs(float(adjusted.sigma0) - 1) < 3 / np.sqrt(2 * adjusted.redundancy)
-    count = len(of_strips.points)
-    off = np.asarray(adjusted.block.object_points)[:count] - points[of_strips.points]
-    deviations = np.asarray(adjusted.standard_deviations.object_points)[:count]
+    deviations = np.asarray(adjusted.standard_deviations.object_points)[: len(off)]
     assert np.sqrt(np.mean((off / deviations) ** 2)) == pytest.approx(1.0, abs=0.2)
     found, sd = np.asarray(adjusted.block.interior.elements), np.asarray(adjusted.standard_deviations.interior)
     assert np.sqrt(np.mean(((found - np.array(bends)) / sd) ** 2)) < 2.0
+
+
+@pytest.mark.parametrize("degree", [2, 3])
+def test_accumulated_errors_are_corrected_as_far_as_the_degree_allows(simulation, strips, degree):
+    """Errors of scale and direction add up from model to model: the errors of coordinates are their double sums.
+
+    What remains is at most twice what the best polynomial of the degree leaves of them, with the noise of the points.
+    """
+    rng = np.random.default_rng(0)
+    bent, left, before = [], [], []
+    for frame, there in zip(strips.frames, _true_places(simulation, strips), strict=True):
+        x = there[:, 0] / frame.half_length
+        ends = np.linspace(-1, 1, MODELS + 1)
+        error = np.cumsum(np.cumsum(rng.normal(0, SIZE, (MODELS + 1, 3)), 0), 0)  # at the ends of the models
+        of_points = np.stack([np.interp(x, ends, column) for column in error.T], 1)
+        basis = np.vander(x, degree + 1)
+        left.append(of_points - basis @ np.linalg.lstsq(basis, of_points, rcond=None)[0])
+        before.append(of_points - of_points.mean(0))
+        bent.append(there - of_points)
+    adjusted, off = _adjusted(simulation, strips, ("separate", degree), bent)
+    noise = np.asarray(adjusted.standard_deviations.object_points)[: len(off)] / float(adjusted.sigma0)
+    remaining, allowed = np.sqrt(np.mean(off**2)), np.sqrt(np.mean(np.concatenate(left) ** 2) + np.mean(noise**2))
+    assert remaining < 2 * allowed < 0.5 * np.sqrt(np.mean(np.concatenate(before) ** 2))
 
 
 def test_plan_and_height(simulation):

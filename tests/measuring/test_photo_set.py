@@ -7,7 +7,10 @@ from scipy import ndimage
 
 import jaxbundle as jb
 from jaxbundle.imagery.exif import Station
-from jaxbundle.measuring.measured_folder import StationSigmas, write_measured
+from jaxbundle.imagery.xmp import XmpData
+from jaxbundle.io.formats.foreign_block import Known
+from jaxbundle.measuring.control_marks import ControlMarks
+from jaxbundle.measuring.measured_folder import Observed, StationSigmas, write_measured
 from jaxbundle.measuring.measured_rays import MeasuredRays
 from jaxbundle.measuring.measurement import CameraGiven, MeasureOptions, measure
 from jaxbundle.measuring.photo_set import photo_set, read_positions
@@ -109,3 +112,29 @@ def test_block_folder(photos, tmp_path):
     ]
     assert "priors = { principal_distance = 9.0 }" in tables["block.toml"]
     assert "priors = { shift = 5.0 }" in tables["block.toml"]
+
+
+def test_block_folder_with_attitudes_and_control(photos, tmp_path):
+    own = photo_set(photos, None, GIVEN)
+    recorded = XmpData(None, (45.0, -90.0, 0.0), (0.01, 0.01, 0.02))
+    own = own._replace(photos=(own.photos[0]._replace(xmp=recorded), *own.photos[1:]))
+    rays = MeasuredRays(np.arange(3), np.zeros(3, int), np.zeros((3, 2)), np.full((3, 2), 0.1), {})
+    points = (Known("1", (500.0, 700.0, np.nan), (0.02, 0.02, 0.03)),)
+    marks = ControlMarks(points, np.array([1, 2]), np.array([0, 0]), np.array([[5.0, 6.0], [7.0, 8.0]]), np.zeros(2))
+    stations = np.array([[0.0, 0, 100], [10, 0, 100], [np.nan] * 3])
+    write_measured(tmp_path / "b", own, rays, stations, StationSigmas(), observed=Observed(marks, 3.0))
+    tables = {path.name: path.read_text().splitlines() for path in (tmp_path / "b").iterdir()}
+    assert tables["stations.csv"][1:] == [
+        "a.png,0.0,0.0,100.0,0.01,0.01,0.02,",
+        "b.png,10.0,0.0,100.0,1.0,1.0,1.5,receiver",
+    ]
+    assert tables["control.csv"][1:] == ["1,500.0,700.0,,0.02,0.02,,control"]
+    assert tables["rays.csv"][3:] == [
+        "c.png,tie-1,0.0,0.0,0.1,0.1",
+        "b.png,1,5.0,6.0,1.0,1.0",
+        "c.png,1,7.0,8.0,1.0,1.0",
+    ]
+    image, *angles = tables["attitudes.csv"][1].split(",")
+    assert image == "a.png"
+    np.testing.assert_allclose(np.array(angles, float), [0, 0, -45, 3, 3, 3], atol=1e-5)
+    assert len(tables["attitudes.csv"]) == 2

@@ -1,6 +1,7 @@
 """What the solver says of itself: converged only at a minimum, and what is undetermined by its cause and its names."""
 
 import dataclasses
+import importlib
 
 import equinox as eqx
 import jax
@@ -143,3 +144,17 @@ def test_good_blocks_keep_their_words():
     arrays, static = eqx.partition(block, eqx.is_array)
     traced = jax.jit(lambda a: adjust(eqx.combine(a, static), precision=False).sigma0)(arrays)
     assert float(traced) == pytest.approx(float(found.sigma0), rel=1e-12)
+
+
+def test_full_steps_end_what_damped_ones_creep_along(monkeypatch):
+    """They reach the minimum of the undisturbed solve; where no step is left for them, the adjustment creeps."""
+    block = simulate(strips=2, images=3, points_per_image=12).block
+    options = {"precision": False, "devices": 1}
+    expected = adjust(block, **options)
+    monkeypatch.setattr(importlib.import_module("jaxbundle.solve.adjust"), "is_creeping", lambda _, costs: True)
+    found = adjust(block, **options)
+    damping = np.asarray(found.iterations.history.damping)[: int(found.iterations.trials)]
+    assert found.status is Status.CONVERGED and damping[0] > 0 and (damping[1:] == 0).all()
+    assert float(found.vtpv) == pytest.approx(float(expected.vtpv), rel=1e-10)
+    np.testing.assert_allclose(found.block.object_points, expected.block.object_points, rtol=0, atol=1e-6)
+    assert adjust(block, max_iterations=1, **options).status is Status.CREEPING
