@@ -6,7 +6,7 @@ import equinox as eqx
 import jax.numpy as jnp
 import numpy as np
 
-from jaxbundle.block.block import Block, Rays
+from jaxbundle.block.block import Block
 from jaxbundle.block.geodetic import DISTANCES
 from jaxbundle.block.observation_kinds import observation_group
 from jaxbundle.camera.brown import BROWN, DISTORTION_FREE
@@ -59,19 +59,6 @@ def with_two_models(block: Block) -> Block:
     own = [by_name[name] for name in DISTORTION_FREE.elements]
     padded = jnp.array([*own, *[1.0] * (len(BROWN.elements) - len(own))])
     return eqx.tree_at(lambda b: b.interior.elements, block, jnp.stack([block.interior.elements[0], padded]))
-
-
-def measured_again(block: Block, rays: np.ndarray, off: float = 0.7, seed: int = 0) -> Block:
-    """The block with some rays measured again: other coordinates, other sigmas, anywhere between the other rays."""
-    s, rng = block.structure, np.random.default_rng(seed)
-    sigmas = np.asarray(block.rays.sigmas)
-    again = np.asarray(block.rays.coordinates)[rays] + off * sigmas[rays] * rng.normal(size=(len(rays), 2))
-    mixed = rng.permutation(len(sigmas) + len(rays))
-    coordinates = np.concatenate([np.asarray(block.rays.coordinates), again])[mixed]
-    both = np.concatenate([sigmas, 1.5 * sigmas[rays]])[mixed]
-    image, point = (np.concatenate([index, index[rays]])[mixed] for index in (s.ray_image, s.ray_point))
-    block = changed(block, ray_image=image, ray_point=point)
-    return dataclasses.replace(block, rays=Rays(jnp.asarray(coordinates), jnp.asarray(both)))
 
 
 BLOCKS = {
