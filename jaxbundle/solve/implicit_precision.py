@@ -28,6 +28,7 @@ from jaxbundle.normals.from_block import BlockVectors, ordered_vectors
 from jaxbundle.normals.plan.elimination_plan import EliminationPlan
 from jaxbundle.normals.problem import NormalVector, OrderedUnknowns, Problem
 from jaxbundle.numerics.compilation import Compiled
+from jaxbundle.numerics.devices import copied
 from jaxbundle.numerics.host import on_device
 from jaxbundle.numerics.linear_map import linear_map
 from jaxbundle.solve.implicit import moved, zero_vector
@@ -110,6 +111,7 @@ def _by_engine(found: Precision, x: OrderedUnknowns, p: Problem, moved: tuple) -
 @Compiled
 def _dense(x: OrderedUnknowns, p: Problem, free: Int[Array, " free"]) -> Precision:
     """The cofactors from the full matrix Q."""
+    x, p = copied((x, p), p.devices)
     zero = zero_vector(p)
     sizes = np.cumsum([part.size for part in zero])
 

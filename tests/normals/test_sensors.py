@@ -89,7 +89,7 @@ def test_statistics_take_any_sensor(result):
     ratio = jb.statistics.reliability(result).w[0]
     assert ratio.shape == result.residuals[0].shape == (len(block.structure.ray_image), 3)
     assert jb.blocks.plausibility(block) == () and jb.blocks.prepared(block)[0] is block
-    components = jb.statistics.variance_components(block, max_rounds=1)
+    components = jb.statistics.variance_components(block, options=result.options, max_rounds=1)
     assert components.names[0] == "rays of control points"
 
 

@@ -5,6 +5,7 @@ The tiles are dealt to all devices, as those of a large block are.
 
 import dataclasses
 import sys
+from typing import Any
 
 import jax
 import numpy as np
@@ -37,7 +38,8 @@ def on_all_devices(file: str):
 
     def adjusted(block: Block, options: Options, **others) -> Adjustment:
         adjustment = adjust(block, dataclasses.replace(options, devices=jax.device_count()), **others)
-        np.savez(file, **found(adjustment))
+        values: dict[str, Any] = found(adjustment)
+        np.savez(file, **values)
         return adjustment
 
     return adjusted
