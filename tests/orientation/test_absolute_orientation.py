@@ -78,7 +78,7 @@ MIXTURES = {
 def test_truth_from_nothing(mixture, angles):
     r = turned(*angles)
     found = absolute_orientation(TERRAIN, given(TERRAIN, r, *MIXTURES[mixture]), 0.1)
-    k = int(np.nanargmin(np.linalg.norm(found.solutions.rotation - r, axis=(1, 2))))
+    k = int(np.nanargmin(np.linalg.norm(np.asarray(found.solutions.rotation) - r, axis=(1, 2))))
     assert found.possible[k]
     np.testing.assert_allclose(found.solutions.rotation[k], r, atol=1e-8)
     np.testing.assert_allclose(found.solutions.scale[k], SCALE, rtol=1e-8)

@@ -149,7 +149,7 @@ def many(number: int, points: int = 6, noise: float = 0.5) -> tuple[jax.Array, j
     back = np.array([rotation[2], rotation[5], rotation[8]])  # the camera looks along -z, at the points
     centre = 1000.0 * back + rng.uniform(-50, 50, (3, number))
     on_x, on_y, on_z = jnp.asarray(x).swapaxes(0, 1)
-    p = photo_vector(tuple(r[None] for r in rotation), tuple(centre[:, None]), (on_x, on_y, on_z))
+    p = photo_vector(tuple(np.asarray(r)[None] for r in rotation), tuple(centre[:, None]), (on_x, on_y, on_z))
     v = DISTORTION_FREE.residual(tuple(INTERIORS[DISTORTION_FREE]), p, (jnp.zeros(()), jnp.zeros(())))
     measured = np.stack([v[0], -v[1]], -1)  # what the residual is at the point (0, 0); y up, v down
     measured = measured + noise * rng.standard_normal(measured.shape)
