@@ -6,6 +6,7 @@ which has no orientation of pairs, `approximate`, which has no images, and `io`.
 
     what                                                        file
     photographs of one measurement, checked together            photo_set
+    stations, in the system of the control                      stations
     pairs verified by their relative orientation, in files      verify, pair_files
     rays of tracks by least-squares matching                    measured_rays
     marks of control points, measured again                     control_marks

@@ -11,20 +11,17 @@ from scipy.sparse.csgraph import connected_components
 
 from jaxbundle.block.findings import Finding, Kind, Subject
 from jaxbundle.block.problems import Problem
-from jaxbundle.geometry.topocentric import topocentric
 from jaxbundle.imagery.exif import Station
 from jaxbundle.imagery.image_problems import ImageError
 from jaxbundle.imagery.interest_points import NUMBER, empty_places, kept_features
 from jaxbundle.imagery.tracks import tracks
 from jaxbundle.imagery.windows import GreyImages
-from jaxbundle.io.formats.coordinates import metric
-from jaxbundle.io.formats.foreign_block import Known
-from jaxbundle.io.formats.ground_control import GroundControl, Positions, read_control
 from jaxbundle.measuring.control_marks import ControlMarks, marks_of, remeasured
 from jaxbundle.measuring.measured_folder import Observed, StationSigmas, write_measured
 from jaxbundle.measuring.measured_rays import MeasuredRays, measured_rays
 from jaxbundle.measuring.pair_files import FOLDER
 from jaxbundle.measuring.photo_set import CameraGiven, PhotoSet, photo_set
+from jaxbundle.measuring.stations import stations_of
 from jaxbundle.measuring.verify import View, verified_pairs
 
 MIN_RAYS = 12  # minimum rays of an image: with fewer, regions of von Gruber are empty
@@ -97,7 +94,7 @@ def measure(
     """
     tell("image pyramids")
     photos = photo_set([Path(path) for path in paths], options.pyramids, options.camera, positions)
-    stations, given = _stations(photos, options.control)
+    stations, given = stations_of(photos, options.control)
     marks = None if given is None else marks_of(given, [photo.name for photo in photos.photos])
     views = []
     for photo in photos.photos:
@@ -124,30 +121,6 @@ def measure(
         observed = Observed(marks, options.attitude_sigma, given.coordinate_system if given else "")
         write_measured(Path(out), photos, rays, stations, options.station_sigmas, observed=observed)
     return Measured(photos, rays, stations, findings, marks)
-
-
-def _stations(photos: PhotoSet, control: Path | None) -> tuple[Float[np.ndarray, "image 3"], GroundControl | None]:
-    """Stations in m, and the control in the same system; without a known system of the control it has no stations."""
-    given = np.array([photo.exif.station or (np.nan,) * 3 for photo in photos.photos])
-    known = np.flatnonzero(np.isfinite(given).all(1))
-    if control is None:
-        if not len(known):
-            return given, None
-        origin = np.nanmean(given, 0)
-        origin[2] = 0.0  # heights are those of the receiver
-        return topocentric(given, origin), None
-    table, stations = read_control(control), np.full(given.shape, np.nan)
-    if not table.coordinate_system or not len(known):
-        return stations, metric(table, None)[0]
-    nothing = (np.nan, np.nan, np.nan)
-    places = tuple(
-        Known(photos.photos[k].name, (float(given[k, 1]), float(given[k, 0]), float(given[k, 2])), nothing)
-        for k in known
-    )
-    table, positions = metric(table, Positions(places, (), "EPSG:4326"))
-    assert positions is not None, "it was given"
-    stations[known] = [row.coordinates for row in positions.stations]
-    return stations, table
 
 
 def _unused(photos: PhotoSet, options: MeasureOptions) -> list[Finding]:

@@ -253,22 +253,6 @@ def test_wrong_shapes_are_refused():
         match(np.zeros((2, 11, 11)), np.zeros((2, 35, 35)), np.zeros((2, 2)), np.zeros((1, 6)))
 
 
-@pytest.mark.thorough
-def test_derivatives_of_a_match_equal_differences():
-    templates, searched, *_ = warped(1, 0.5, 8)
-    middle = HALF + MARGIN + 0.5
-    rng = np.random.default_rng(1)
-    along = rng.standard_normal(templates.shape), rng.standard_normal(searched.shape)
-
-    def position(size):
-        f, g = templates + size * along[0], searched + size * along[1]
-        return match(f, g, in_the_middle(1), starts(1, middle, middle), AFFINE).position
-
-    with_slope = jax.jit(lambda size: jax.jvp(position, (size,), (1.0,)))
-    differences = (with_slope(1e-3)[0] - with_slope(-1e-3)[0]) / 2e-3
-    np.testing.assert_allclose(with_slope(0.0)[1], differences, rtol=1e-5, atol=1e-8)
-
-
 def test_normal_equations_are_those_of_the_residuals():
     templates, searched, *_ = warped(1, 0.5, 9)
     pair = Pair(*(jnp.asarray(x[0]) for x in (templates, searched, in_the_middle(1), starts(1, 17.3, 17.4))))

@@ -3,6 +3,7 @@
 import numpy as np
 import pytest
 from PIL import Image
+from PIL.PngImagePlugin import PngInfo
 
 from jaxbundle.imagery.exif import Station
 from jaxbundle.imagery.xmp import XmpData, station_of, xmp_data, xmp_of
@@ -17,13 +18,10 @@ PACKET = """<x:xmpmeta xmlns:x="adobe:ns:meta/"><rdf:RDF xmlns:rdf="http://www.w
 
 @pytest.mark.parametrize("suffix", ["jpg", "png", "tif"])
 def test_packet_of_a_drone(suffix, tmp_path):
-    path = tmp_path / f"a.{suffix}"
-    if suffix == "png":
-        from_text = Image.new("L", (40, 30))
-        from_text.info["xmp"] = PACKET.encode()
-        from_text.save(path, xmp=PACKET.encode())
-    else:
-        Image.new("L", (40, 30)).save(path, xmp=PACKET.encode())
+    path, image, text = tmp_path / f"a.{suffix}", Image.new("L", (40, 30)), PngInfo()
+    text.add_itxt("XML:com.adobe.xmp", PACKET)
+    own = {"jpg": {"xmp": PACKET.encode()}, "png": {"pnginfo": text}, "tif": {"tiffinfo": {700: PACKET.encode()}}}
+    image.save(path, **own[suffix])
     found = xmp_of(path)
     assert found.station == Station(46.8426071, -91.9945599, 198.52)
     assert found.attitude == (45.1, -89.9, 0.0)

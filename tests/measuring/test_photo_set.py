@@ -14,6 +14,7 @@ from jaxbundle.measuring.measured_folder import Observed, StationSigmas, write_m
 from jaxbundle.measuring.measured_rays import MeasuredRays
 from jaxbundle.measuring.measurement import CameraGiven, MeasureOptions, measure
 from jaxbundle.measuring.photo_set import photo_set, read_positions
+from jaxbundle.measuring.stations import stations_of
 
 GIVEN = CameraGiven(principal_distance=300.0)
 
@@ -138,3 +139,19 @@ def test_block_folder_with_attitudes_and_control(photos, tmp_path):
     assert image == "a.png"
     np.testing.assert_allclose(np.array(angles, float), [0, 0, -45, 3, 3, 3], atol=1e-5)
     assert len(tables["attitudes.csv"]) == 2
+
+
+def test_stations_in_the_system_of_the_control(photos, tmp_path):
+    given = {"a.png": Station(46.8425, -91.995, 198.5), "b.png": Station(46.8427, -91.994, 199.5)}
+    own, list_of = photo_set(photos, None, GIVEN, given), tmp_path / "gcp_list.txt"
+    about_mean, nothing = stations_of(own, None)
+    assert nothing is None and np.isnan(about_mean[2]).all()
+    np.testing.assert_allclose(about_mean[:2, :2].sum(0), 0, atol=0.01)
+    list_of.write_text("EPSG:32615\n576600 5187900 180 20 30 a.png g1\n")
+    stations, control = stations_of(own, list_of)
+    assert control is not None and control.coordinate_system == "EPSG:32615"
+    lengths = [np.linalg.norm((places[1] - places[0])[:2]) for places in (stations, about_mean)]
+    assert lengths[0] == pytest.approx(lengths[1], rel=1e-3)
+    assert 576_000 < stations[0, 0] < 577_000 and stations[0, 2] == 198.5
+    list_of.write_text("500 700 180 20 30 a.png g1\n")
+    assert np.isnan(stations_of(own, list_of)[0]).all()
