@@ -32,6 +32,9 @@ class Wanted(NamedTuple):
     sensor_width: float | None = None
     level: int = 1
     number: int = 2048
+    control: Path | None = None
+    remeasure: bool = False
+    attitude_sigma: float | None = None
 
 
 def run(wanted: Wanted) -> int:
@@ -42,7 +45,15 @@ def run(wanted: Wanted) -> int:
     _require_new(wanted.out)
     paths = [path for given in wanted.images for path in (_images_in(given) if given.is_dir() else [given])]
     camera = CameraGiven(wanted.principal_distance, wanted.sensor_width)
-    options = MeasureOptions(wanted.level, wanted.number, camera, pyramids=wanted.pyramids)
+    options = MeasureOptions(
+        wanted.level,
+        wanted.number,
+        camera,
+        pyramids=wanted.pyramids,
+        control=wanted.control,
+        remeasure=wanted.remeasure,
+        attitude_sigma=wanted.attitude_sigma,
+    )
     positions = None if wanted.positions is None else read_positions(wanted.positions)
     with Phases() as phases:
         found = measure(paths, wanted.out, options, positions=positions, tell=phases.tell)

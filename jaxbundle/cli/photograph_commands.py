@@ -40,7 +40,7 @@ def measure(
     positions: Annotated[
         Path | None,
         typer.Option(
-            metavar="CSV", help="Stations: image,latitude,longitude,altitude (default: EXIF).", show_default=False
+            metavar="CSV", help="Stations: image,latitude,longitude,altitude (default: EXIF, XMP).", show_default=False
         ),
     ] = None,
     principal_distance: Annotated[
@@ -52,6 +52,21 @@ def measure(
     ] = None,
     level: Annotated[int, typer.Option(min=0, help="Level of the pyramids for the detection of points.")] = 1,
     points: Annotated[int, typer.Option(min=64, help="Maximum number of points detected in an image.")] = 2048,
+    control: Annotated[
+        Path | None,
+        typer.Option(help="Control with marks in the photographs: gcp_list.txt.", show_default=False),
+    ] = None,
+    remeasure: Annotated[
+        bool, typer.Option("--remeasure", help="Measure the marks of --control again by matching.")
+    ] = False,
+    attitude_sigma: Annotated[
+        float | None,
+        typer.Option(
+            metavar="DEG",
+            help="Standard deviation of the attitudes in the XMP data, which are not used without it.",
+            show_default=False,
+        ),
+    ] = None,
 ) -> None:
     """Measure tie points in photographs and write a block folder, or remeasure the rays of a block."""
     importlib.import_module("jaxbundle.cli.runtime").start()
@@ -62,5 +77,19 @@ def measure(
         raise typer.Exit(measuring.run_refining(refine, folder, out, pyramids))
     if not images:
         raise typer.BadParameter("give photographs or folders of them")
-    wanted = measuring.Wanted(images, out, pyramids, positions, principal_distance, sensor_width, level, points)
+    if remeasure and control is None:
+        raise typer.BadParameter("--remeasure needs --control; --refine BLOCK measures all rays of a block again")
+    wanted = measuring.Wanted(
+        images,
+        out,
+        pyramids,
+        positions,
+        principal_distance,
+        sensor_width,
+        level,
+        points,
+        control,
+        remeasure,
+        attitude_sigma,
+    )
     raise typer.Exit(measuring.run(wanted))

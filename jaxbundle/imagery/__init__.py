@@ -17,7 +17,7 @@ level l of a pyramid they are those of level 0 divided by 2^l. Readers and detec
     standard deviations of rays                                 ray_sigmas
     remeasuring the rays of a block                              refinement
     interest points, candidates of pairs, tracks                interest_points, match_candidates, tracks
-    EXIF data of photographs                          exif
+    EXIF and XMP data of photographs                            exif, xmp
 """
 
 from jaxbundle.numerics.lazy_names import lazy_names

@@ -15,24 +15,26 @@ derivatives follow, so that the derivative is that of the minimum (implicit func
 """
 
 import dataclasses
-from typing import Any, NamedTuple
+from typing import NamedTuple
 
 import jax
 import jax.numpy as jnp
 import numpy as np
 from jax import lax
 from jax.scipy.linalg import cho_factor, cho_solve
-from jaxtyping import Array, Bool, Float
+from jaxtyping import Array, ArrayLike, Bool, Float, Real
 
 from jaxbundle.imagery import spline
 from jaxbundle.imagery.match_types import DEFAULT, SCALE, SIGNIFICANT, Matches, MatchOptions, Refusal
 from jaxbundle.numerics.compilation import Compiled
 from jaxbundle.numerics.host import is_concrete, on_device
+from jaxbundle.numerics.nested import Nested
 from jaxbundle.numerics.program_cache import prepare_jax
 
 UNKNOWNS = 8
 MAX_STEP = 1.0  # px: for larger steps the linearised grey values are meaningless
-TOGETHER = 256  # windows per program call: a few MB of rows
+TOGETHER = 256  # windows per program call
+PIXELS_FOR_OPTIMISATION = 500_000  # of all templates: below this, matching takes less time than optimising its program
 NEWTON_STEPS = 4  # after Gauss-Newton, if derivatives are requested: the last steps are exact
 FLAT = 1e-10  # reciprocal condition of scaled normal equations: below this they are undetermined
 
@@ -71,10 +73,10 @@ class _State(NamedTuple):
 
 
 def match(
-    templates: Float[Any, "match height width"],
-    searched: Float[Any, "match row column"],
-    references: Float[Any, "match 2"],
-    starts: Float[Any, "match 6"],
+    templates: Real[ArrayLike, "match height width"] | Nested,
+    searched: Real[ArrayLike, "match row column"] | Nested,
+    references: Real[ArrayLike, "match 2"] | Nested,
+    starts: Real[ArrayLike, "match 6"] | Nested,
     options: MatchOptions = DEFAULT,
 ) -> Matches:
     """Matches many windows at once by least squares, from predicted positions.
@@ -115,8 +117,8 @@ def match(
     limits, form = Limits(*map(on_device, chosen)), Form(options.parameters, options.interpolation == "bilinear")
     if not is_concrete(pairs):
         return jax.vmap(lambda pair: _differentiable(form, limits, pair))(pairs)
-    firsts = range(0, max(count, 1), TOGETHER)
-    parts = [_matched(form, limits, _padded(pairs, first), optimised=True) for first in firsts]
+    firsts, many = range(0, max(count, 1), TOGETHER), pairs.template.size > PIXELS_FOR_OPTIMISATION
+    parts = [_matched(form, limits, _padded(pairs, first), optimised=many) for first in firsts]
     return jax.tree.map(lambda *x: on_device(np.concatenate(x)[:count]), *parts)
 
 
@@ -132,7 +134,8 @@ def _padded(pairs: Pair, first: int) -> Pair:
 
 @Compiled
 def _matched(form: Form, limits: Limits, pairs: Pair) -> Matches:
-    return jax.vmap(lambda pair: _chosen(form, limits, pair)[1])(pairs)
+    # one window after the other: a batch would iterate all its windows as often as the slowest one
+    return lax.map(lambda pair: _chosen(form, limits, pair)[1], pairs)
 
 
 def residuals(p: Float[Array, "8"], pair: Pair, surface: Array, bilinear: bool) -> Float[Array, " pixel"]:
@@ -142,36 +145,45 @@ def residuals(p: Float[Array, "8"], pair: Pair, surface: Array, bilinear: bool) 
     return p[6] + p[7] * g - pair.template.ravel()
 
 
+def _from_reference(pair: Pair) -> tuple[Array, Array]:
+    """Coordinates of the template's pixels from its reference point."""
+    rows, columns = pair.template.shape
+    x = jnp.tile(jnp.arange(columns, dtype=float) + 0.5, rows) - pair.reference[0]
+    return x, jnp.repeat(jnp.arange(rows, dtype=float) + 0.5, columns) - pair.reference[1]
+
+
 def _places(p: Array, pair: Pair) -> tuple[Array, Array]:
     """Positions of the template's pixels in the searched window."""
-    rows, columns = pair.template.shape
-    x = jnp.tile(jnp.arange(columns) + 0.5, rows) - pair.reference[0]
-    y = jnp.repeat(jnp.arange(rows) + 0.5, columns) - pair.reference[1]
+    x, y = _from_reference(pair)
     return p[0] + p[1] * x + p[2] * y, p[3] + p[4] * x + p[5] * y
 
 
 def normal_equations(p: Array, pair: Pair, surface: Array, bilinear: bool) -> tuple[Array, Array, Array]:
     """Computes N = A^T A, A^T v and v^T v; rows from the derivatives of the interpolant along both coordinates."""
-    (x, y), one = _places(p, pair), jnp.ones(pair.template.size)
-    interpolant = spline.bilinear if bilinear else spline.value
-    g, gx = jax.jvp(lambda x: interpolant(surface, x, y), (x,), (one,))
-    _, gy = jax.jvp(lambda y: interpolant(surface, x, y), (y,), (one,))
-    rows, columns = pair.template.shape
-    u = jnp.tile(jnp.arange(columns) + 0.5, rows) - pair.reference[0]
-    w = jnp.repeat(jnp.arange(rows) + 0.5, columns) - pair.reference[1]
+    x, y = _places(p, pair)
+    g, gx, gy = _with_slopes(surface, x, y, bilinear)
+    u, w = _from_reference(pair)
     gx, gy = p[7] * gx, p[7] * gy
-    a = jnp.stack([gx, gx * u, gx * w, gy, gy * u, gy * w, one, g])
+    a = jnp.stack([gx, gx * u, gx * w, gy, gy * u, gy * w, jnp.ones_like(g), g])
     v = p[6] + p[7] * g - pair.template.ravel()
     return a @ a.T, a @ v, v @ v
 
 
+def _with_slopes(surface: Array, x: Array, y: Array, bilinear: bool) -> tuple[Array, Array, Array]:
+    """Grey values with their derivatives along x and y."""
+    interpolant, one = spline.bilinear if bilinear else spline.value, jnp.ones_like(x)
+    g, gx = jax.jvp(lambda x: interpolant(surface, x, y), (x,), (one,))
+    gy = jax.jvp(lambda y: interpolant(surface, x, y), (y,), (one,))[1]
+    return lax.optimization_barrier((g, gx, gy))  # else the compiler evaluates them again for each row of equations
+
+
 def _factor(normals: Array, free: Array) -> tuple[Array, Array, Array]:
     """Cholesky factor of the normal equations with unit diagonal, the scale, and whether all is determined."""
-    both = free[:, None] & free
+    both = free[:, None] & free[None]
     diagonal = jnp.diagonal(normals)
     good = free & (diagonal > 0)
     scale = jnp.where(good, 1 / jnp.sqrt(jnp.where(good, diagonal, 1.0)), 1.0)
-    n = jnp.where(both, normals * scale[:, None] * scale, 0.0) + jnp.diag(jnp.where(good, 0.0, 1.0))
+    n = jnp.where(both, normals * scale[:, None] * scale[None], 0.0) + jnp.diag(jnp.where(good, 0.0, 1.0))
     factor = cho_factor(n, lower=True)[0]
     pivots = jnp.diagonal(factor)
     determined = jnp.isfinite(pivots).all() & (jnp.min(jnp.where(free, pivots, 1.0)) ** 2 > FLAT) & (good == free).all()
@@ -201,9 +213,9 @@ def _solution(bilinear: bool, limits: Limits, pair: Pair, surface: Array, free: 
     state = lax.while_loop(goes_on, step, state)
     normals, _, total = normal_equations(state.p, pair, surface, bilinear)
     factor, scale, determined = _factor(normals, free)
-    variance = total / (pair.template.size - jnp.sum(free))
-    cofactors = scale[:, None] * cho_solve((factor, True), jnp.eye(UNKNOWNS)) * scale
-    cofactors = jnp.where(determined & free[:, None] & free, cofactors, 0.0)
+    variance = total / (pair.template.size - jnp.sum(free).astype(float))
+    cofactors = scale[:, None] * cho_solve((factor, True), jnp.eye(UNKNOWNS)) * scale[None]
+    cofactors = jnp.where(determined & free[:, None] & free[None], cofactors, 0.0)
     return state._replace(valid=state.valid & determined), variance * cofactors, jnp.sqrt(variance)
 
 
@@ -222,10 +234,12 @@ def _chosen(form: Form, limits: Limits, pair: Pair) -> tuple[Array, Matches]:
     modes = {"shift": [False], "affine": [True], "tested": [False, True]}[form.parameters]
     shift_only = np.array([True, False, False, True, False, False, True, True])
     free = jnp.asarray(np.stack([np.ones(UNKNOWNS, bool) if affine else shift_only for affine in modes]))
-    states, covariances, s0 = jax.vmap(lambda f: _solution(form.bilinear, limits, pair, surface, f))(free)
-    found = jax.vmap(lambda s, c, s0: _result(form.bilinear, limits, pair, surface, (s, c, s0)))(
-        states, covariances, s0
-    )
+
+    def solved(free: Array) -> tuple[_State, Array, Matches]:
+        state, covariance, s0 = _solution(form.bilinear, limits, pair, surface, free)
+        return state, covariance, _result(form.bilinear, limits, pair, surface, (state, covariance, s0))
+
+    states, covariances, found = lax.map(solved, free)
     k = jnp.asarray(0)
     if len(modes) == 2:
         variance = jnp.diagonal(covariances[1])[jnp.array([1, 2, 4, 5])]
@@ -293,7 +307,7 @@ def _differentiable(form: Form, limits: Limits, pair: Pair) -> Matches:
 
     def newton(p: Array, pair: Pair) -> Array:
         still = jax.tree.map(lax.stop_gradient, pair)
-        hessian = jnp.where(free[:, None] & free, jax.hessian(half_squares)(p, still), jnp.eye(UNKNOWNS))
+        hessian = jnp.where(free[:, None] & free[None], jax.hessian(half_squares)(p, still), jnp.eye(UNKNOWNS))
         return p - jnp.linalg.solve(hessian, jnp.where(free, jax.grad(half_squares)(p, pair), 0.0))
 
     a, (r0, r1) = found.affine, found.radiometry

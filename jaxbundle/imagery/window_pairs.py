@@ -76,10 +76,8 @@ def match_pairs(
     """
     if options.max_shift is None:
         options = options._replace(max_shift=MAX_SHIFT)
-    parts = [
-        _match(images, PairTable(*(x[k : k + AT_ONCE] for x in pairs)), level, options, half)
-        for k in range(0, len(pairs.image), AT_ONCE)
-    ]
+    equal = np.array_split(np.arange(len(pairs.image)), -(-len(pairs.image) // AT_ONCE) or 1)
+    parts = [_match(images, PairTable(*(x[own] for x in pairs)), level, options, half) for own in equal if len(own)]
     if not parts:
         nothing = np.zeros((0, 2, 2))
         return PairMatches(np.zeros((0, 2)), nothing, nothing, np.zeros(0), np.zeros(0, int))

@@ -6,8 +6,10 @@ which has no orientation of pairs, `approximate`, which has no images, and `io`.
 
     what                                                        file
     photographs of one measurement, checked together            photo_set
-    pairs verified by their relative orientation                verify
+    stations, in the system of the control                      stations
+    pairs verified by their relative orientation, in files      verify, pair_files
     rays of tracks by least-squares matching                    measured_rays
+    marks of control points, measured again                     control_marks
     the block folder                                            measured_folder
     the whole process, from photographs to block folder                 measurement
 """

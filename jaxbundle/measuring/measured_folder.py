@@ -1,14 +1,18 @@
 """Writing the block folder of measured photographs: cameras, stations and rays, without orientations."""
 
+from collections.abc import Sequence
 from pathlib import Path
 from typing import Any, NamedTuple
 
 import numpy as np
-from jaxtyping import Float
+from jaxtyping import Bool, Float, Int
 
 from jaxbundle.io.block_toml import FILE, write_block_toml
+from jaxbundle.io.formats.attitudes import observed_attitudes
+from jaxbundle.io.formats.foreign_block import Known
 from jaxbundle.io.settings import Settings
 from jaxbundle.io.tables import Columns, write_table
+from jaxbundle.measuring.control_marks import MARK_SIGMA, ControlMarks
 from jaxbundle.measuring.measured_rays import MeasuredRays
 from jaxbundle.measuring.photo_set import PhotoSet
 
@@ -16,6 +20,16 @@ ESTIMATED = ["principal_distance", "x0", "y0", "K1", "K2", "P1", "P2"]
 RELATIVE_SIGMA = 0.03  # relative sigma of a principal distance from EXIF data, which is rounded and for another focus
 RECEIVER = "receiver"  # the group of stations that share the slowly changing errors of one receiver
 ORIENTATION = ("X0", "Y0", "Z0", "omega", "phi", "kappa")
+
+
+class Observed(NamedTuple):
+    """What is observed besides the rays of tie points."""
+
+    control: ControlMarks | None = None
+    attitude_sigma: float | None = None
+    """Standard deviation of the recorded attitudes in degrees; None: they are not used."""
+    system: str = ""
+    """Coordinate system of the control; empty for east, north and up."""
 
 
 class StationSigmas(NamedTuple):
@@ -38,18 +52,21 @@ def write_measured(
     rays: MeasuredRays,
     stations: Float[np.ndarray, "image 3"],
     station_sigmas: StationSigmas,
+    *,
+    observed: Observed = Observed(),  # noqa: B008  an immutable tuple
 ) -> None:
-    """Writes block.toml, images.csv, rays.csv and, if there are stations, stations.csv.
+    """Writes block.toml, images.csv, rays.csv and, if observed, stations.csv, attitudes.csv and control.csv.
 
     Args:
         folder: path of the folder, which is created if missing.
         photos: the photographs.
         rays: rays with indices of photographs as images.
         stations: in m, NaN for images without station.
-        station_sigmas: of the observed projection centres.
+        station_sigmas: of the observed projection centres, where the photographs do not record their own.
+        observed: control and attitudes.
     """
-    names = [photo.name for photo in photos.photos]
-    used = np.unique(rays.image)
+    names, control = [photo.name for photo in photos.photos], observed.control
+    used = np.unique(rays.image if control is None else np.concatenate([rays.image, control.image]))
     empty = np.full(len(used), np.nan)
     tables: dict[str, Columns] = {
         "images": {
@@ -57,24 +74,17 @@ def write_measured(
             "camera": [photos.photos[i].camera for i in used],
             **dict.fromkeys(ORIENTATION, empty),
         },
-        "rays": {
-            "image": [names[i] for i in rays.image],
-            "point": [str(p + 1) for p in rays.point],
-            "x": np.round(rays.xy[:, 0], 4),
-            "y": np.round(rays.xy[:, 1], 4),
-            "sx": np.round(rays.sigmas[:, 0], 4),
-            "sy": np.round(rays.sigmas[:, 1], 4),
-        },
+        "rays": _rays(names, rays, control),
     }
     known = used[np.isfinite(stations[used]).all(1)]
+    of_receiver = np.zeros(0, bool)
     if len(known):
-        sigmas = (station_sigmas.horizontal, station_sigmas.horizontal, station_sigmas.vertical)
-        tables["stations"] = {
-            "image": [names[i] for i in known],
-            **{c: np.round(stations[known, k], 4) for k, c in enumerate("XYZ")},
-            **{f"s{c}": np.full(len(known), sigma) for c, sigma in zip("XYZ", sigmas, strict=True)},
-            "group": [RECEIVER] * len(known),
-        }
+        tables["stations"], of_receiver = _stations(photos, known, stations, station_sigmas)
+    if control is not None:
+        tables["control"] = _control(control)
+    attitudes = _attitudes(photos, known, stations, observed)
+    if attitudes is not None:
+        tables["attitudes"] = attitudes
     folder.mkdir(parents=True, exist_ok=True)
     for kind, columns in tables.items():
         write_table(folder / f"{kind}.csv", columns)
@@ -89,9 +99,70 @@ def write_measured(
         "sigma": {"image": 0.5},
         "tables": {kind: f"{kind}.csv" for kind in tables},
     }
-    if len(known):
+    if of_receiver.any():
         settings["navigation"] = {RECEIVER: {"estimate": ["shift"], "priors": {"shift": station_sigmas.shift}}}
     write_block_toml(folder / FILE, Settings.model_validate(settings))
+
+
+def _rays(names: Sequence[str], rays: MeasuredRays, control: ControlMarks | None) -> Columns:
+    points = [str(p + 1) for p in rays.point]
+    images, xy, sigmas = [names[i] for i in rays.image], rays.xy, rays.sigmas
+    if control is not None:
+        given = {point.name for point in control.points}
+        points = [f"tie-{name}" for name in points] if given & set(points) else points
+        points += [control.points[p].name for p in control.point]
+        images += [names[i] for i in control.image]
+        xy = np.concatenate([xy, control.xy])
+        sigmas = np.concatenate([sigmas, np.full_like(control.xy, MARK_SIGMA)])
+    columns = zip(("x", "y", "sx", "sy"), np.round(np.concatenate([xy, sigmas], 1), 4).T, strict=True)
+    return {"image": images, "point": points, **dict(columns)}
+
+
+def _stations(
+    photos: PhotoSet, known: Int[np.ndarray, " image"], stations: Float[np.ndarray, "image 3"], sigmas: StationSigmas
+) -> tuple[Columns, Bool[np.ndarray, " image"]]:
+    """The table, and which stations have no standard deviations of their own: they share the shift of a receiver."""
+    own = np.array([photos.photos[i].xmp.sigmas for i in known])
+    without = ~((own > 0) & np.isfinite(own)).all(1)
+    own[without] = sigmas.horizontal, sigmas.horizontal, sigmas.vertical
+    columns: Columns = {
+        "image": [photos.photos[i].name for i in known],
+        **{c: np.round(stations[known, k], 4) for k, c in enumerate("XYZ")},
+        **{f"s{c}": own[:, k] for k, c in enumerate("XYZ")},
+        "group": [RECEIVER if missing else "" for missing in without],
+    }
+    return columns, without
+
+
+def _control(control: ControlMarks) -> Columns:
+    coordinates = np.array([point.coordinates for point in control.points]).reshape(-1, 3)
+    sigmas = np.array([point.sigmas for point in control.points]).reshape(-1, 3)
+    sigmas = np.where(np.isfinite(coordinates) & np.isfinite(sigmas), sigmas, np.nan)
+    return {
+        "point": [point.name for point in control.points],
+        **{c: coordinates[:, k] for k, c in enumerate("XYZ")},
+        **{f"s{c}": sigmas[:, k] for k, c in enumerate("XYZ")},
+        "role": ["check" if point.check else "control" for point in control.points],
+    }
+
+
+def _attitudes(
+    photos: PhotoSet, known: Int[np.ndarray, " image"], stations: Float[np.ndarray, "image 3"], observed: Observed
+) -> Columns | None:
+    """Observations of omega, phi and kappa from the attitudes of the photographs with stations."""
+    given = [(photos.photos[i], stations[i]) for i in known if photos.photos[i].xmp.attitude is not None]
+    if observed.attitude_sigma is None or not given:
+        return None
+    nothing = (np.nan, np.nan, np.nan)
+    places = tuple(Known(photo.name, (float(x), float(y), float(z)), nothing) for photo, (x, y, z) in given)
+    recorded = tuple(Known(photo.name, photo.xmp.attitude or nothing, nothing) for photo, _ in given)
+    rows = observed_attitudes(recorded, places, observed.system, observed.attitude_sigma)
+    angles = np.degrees([row.coordinates for row in rows])
+    return {
+        "image": [row.name for row in rows],
+        **{c: np.round(angles[:, k], 6) for k, c in enumerate(ORIENTATION[3:])},
+        **{f"s{c}": np.full(len(rows), observed.attitude_sigma) for c in ORIENTATION[3:]},
+    }
 
 
 def _camera(photos: PhotoSet, name: str) -> dict[str, Any]:

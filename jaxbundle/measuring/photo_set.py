@@ -14,6 +14,7 @@ from jaxbundle.imagery.exif import FULL_FRAME, ExifData, Station, exif_of
 from jaxbundle.imagery.image_problems import ImageError
 from jaxbundle.imagery.photographs import photograph
 from jaxbundle.imagery.pyramid_file import Pyramid, pyramid, source_hash
+from jaxbundle.imagery.xmp import UNKNOWN, XmpData, station_of, xmp_of
 
 BLANK = 2.0  # grey values: standard deviation of an overview below which measurement is impossible
 BLURRED = 0.25  # share of the median sharpness of all images
@@ -30,6 +31,7 @@ class Photo(NamedTuple):
     exif: ExifData
     camera: str
     """Name of its camera in the block."""
+    xmp: XmpData = XmpData()
 
 
 class PhotoSet(NamedTuple):
@@ -97,7 +99,7 @@ def photo_set(
         paths: image files.
         pyramids: folder of the pyramids; by default in the folder of the images.
         given: camera data from the user.
-        positions: stations by the names of the images, instead of those of the EXIF data.
+        positions: stations by the names of the images, instead of those of the EXIF and XMP data.
 
     Raises: ImageError with all problems: unreadable or blank images, duplicates, different sizes in one camera,
         an unknown principal distance.
@@ -106,19 +108,21 @@ def photo_set(
     photos, problems, found = [], [], []
     for path in paths:
         try:
-            made, exif = pyramid(path, pyramids), exif_of(path)
+            made, exif, xmp = pyramid(path, pyramids), exif_of(path), xmp_of(path)
         except FileNotFoundError:
             problems.append(Problem("does not exist", "check the name", str(path)))
             continue
         except ImageError as error:
             problems.extend(error.problems)
             continue
-        if positions is not None:
-            exif = exif._replace(station=positions.get(path.name, positions.get(path.stem, exif.station)))
+        exif = exif._replace(station=station_of(exif.station, xmp))
+        given_station = (positions or {}).get(path.name, (positions or {}).get(path.stem))
+        if given_station is not None:
+            exif, xmp = exif._replace(station=given_station), xmp._replace(sigmas=UNKNOWN)
         if exif.station is not None and math.isnan(exif.station.altitude):
             exif = exif._replace(station=exif.station._replace(altitude=0.0))
         camera = " ".join([exif.camera or "camera", *([f"{exif.focal:g} mm"] if exif.focal else [])])
-        photos.append(Photo(path.name, path, made, exif, camera))
+        photos.append(Photo(path.name, path, made, exif, camera, xmp))
         if photograph(path).orientation != 1:
             what = f"image {path.name} has an orientation in its EXIF data, which is not applied"
             found.append(_note(path.name, what, "measure coordinates in the stored image"))

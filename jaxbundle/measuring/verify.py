@@ -1,6 +1,7 @@
 """Verifying the candidates of pairs of images by the relative orientation."""
 
 from collections.abc import Callable, Sequence
+from pathlib import Path
 from typing import NamedTuple
 
 import numpy as np
@@ -9,6 +10,7 @@ from jaxtyping import Float, Int
 from jaxbundle.camera.camera_models import CAMERA_MODELS
 from jaxbundle.imagery.interest_points import Features
 from jaxbundle.imagery.match_candidates import candidates
+from jaxbundle.measuring.pair_files import VERSION, digest, store_pair, stored_pair
 from jaxbundle.orientation.relative_orientations import relative_orientation
 
 ROWS = 512  # maximum points of a relative orientation: one program for all pairs
@@ -27,6 +29,8 @@ class View(NamedTuple):
     """Interior elements of the model without distortion: principal distance, x0, y0 in px, 1 and -1."""
     station: Float[np.ndarray, "3"] | None
     """m."""
+    name: str = ""
+    """Name of the image, in the names of files of pairs."""
 
 
 Pairs = dict[tuple[int, int], Int[np.ndarray, "match 2"]]
@@ -46,7 +50,10 @@ def neighbours(views: Sequence[View]) -> list[tuple[int, int]]:
 
 
 def verified_pairs(
-    views: Sequence[View], scale: float, done: Callable[[int, int], None] = lambda number, total: None
+    views: Sequence[View],
+    scale: float,
+    done: Callable[[int, int], None] = lambda number, total: None,
+    folder: Path | None = None,
 ) -> Pairs:
     """Matches of all pairs that agree with a relative orientation.
 
@@ -54,10 +61,20 @@ def verified_pairs(
         views: the images.
         scale: px of level 0 per px of the level of the features.
         done: a function that is called after each pair with its number and the total number.
+        folder: folder of the finished pairs, which are not measured again; None stores nothing.
     """
     pairs, found = neighbours(views), {}
+    keys = [digest(view.features.xy, view.features.descriptors, view.interior) for view in views] if folder else []
     for number, (i, j) in enumerate(pairs):
-        matches = verified(views[i], views[j], SIGMA * scale)
+        matches, file, key = None, None, ""
+        if folder is not None:
+            file = folder / f"{views[i].name}+{views[j].name}.npz"
+            key = f"{VERSION} {SIGMA * scale} {SAMPLES} {keys[i]} {keys[j]}"
+            matches = stored_pair(file, key)
+        if matches is None:
+            matches = verified(views[i], views[j], SIGMA * scale)
+            if file is not None:
+                store_pair(file, key, matches)
         if len(matches):
             found[i, j] = matches
         done(number + 1, len(pairs))

@@ -180,7 +180,7 @@ def _observations(plan: EliminationPlan, block: Block) -> Observations:
     )
 
 
-def _in_angles(in_angles: Bool[np.ndarray, " image"] | None, plan: EliminationPlan) -> Bool[Array, " image"] | None:
+def _in_angles(in_angles: Bool[np.ndarray, " image"] | None, plan: EliminationPlan) -> Bool[Array, " padded"] | None:
     if in_angles is None:
         return None
     return on_device(spread(in_angles[None], plan.order.image, plan.order.images, False)[0])
@@ -223,7 +223,7 @@ def _border_rays(plan: EliminationPlan, block: Block) -> BorderRays:
         on_device(plan.order.image[image], jnp.int32),
         on_device(np.where(used, plan.order.point[point] - plan.tile_points, 0), jnp.int32),
         on_device(on_host(block.rays.coordinates)[ray].T),
-        on_device(used / on_host(block.rays.sigmas)[ray].T),
+        on_device(used.astype(float)[None] / on_host(block.rays.sigmas)[ray].T),
     )
 
 

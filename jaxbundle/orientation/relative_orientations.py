@@ -13,13 +13,14 @@ import jax
 import jax.numpy as jnp
 import numpy as np
 from jax import lax
-from jaxtyping import Array, ArrayLike, Bool, Float
+from jaxtyping import Array, ArrayLike, Bool, Float, Real
 
 from jaxbundle.camera.direction import direction
 from jaxbundle.camera.model import CameraModel
 from jaxbundle.geometry.rotation import from_omega_phi_kappa, to_omega_phi_kappa
 from jaxbundle.numerics.compilation import Compiled
 from jaxbundle.numerics.host import is_concrete
+from jaxbundle.numerics.nested import Nested
 from jaxbundle.numerics.program_cache import prepare_jax
 from jaxbundle.orientation import coplanarity
 from jaxbundle.orientation.coplanarity import REJECTED, Pair, Rays
@@ -123,12 +124,12 @@ class RelativeOrientation(eqx.Module):
 
 def relative_orientation(
     model: CameraModel,
-    interior: Float[ArrayLike, " element"],
-    first: Float[ArrayLike, "point 2"],
-    second: Float[ArrayLike, "point 2"],
-    sigmas: Float[ArrayLike, "..."] = 1.0,
+    interior: Real[ArrayLike, " element"] | Nested,
+    first: Real[ArrayLike, "point 2"] | Nested,
+    second: Real[ArrayLike, "point 2"] | Nested,
+    sigmas: Real[ArrayLike, "..."] | Nested = 1.0,
     *,
-    second_camera: tuple[CameraModel, Float[ArrayLike, " element"]] | None = None,
+    second_camera: tuple[CameraModel, Real[ArrayLike, " element"] | Nested] | None = None,
     convention: Convention = "dependent",
     base: float = 1.0,
     robust: bool = True,
@@ -269,9 +270,9 @@ def _answer(convention: str, oriented: Oriented, s: Float[Array, "point 2"], bas
     fixed = jnp.argmax(jnp.abs(at.base))
     cost, normals, _, _ = coplanarity.normal_equations(at, rays, coplanarity.squares(used))
     scale = 1 / jnp.sqrt(jnp.diagonal(normals))
-    values, vectors = jnp.linalg.eigh(normals * scale[:, None] * scale)
+    values, vectors = jnp.linalg.eigh(normals * scale[:, None] * scale[None])
     determined = values[0] > UNDETERMINED * values[-1]
-    factor = scale[:, None] * vectors / jnp.sqrt(jnp.where(determined, values, jnp.nan))
+    factor = scale[:, None] * vectors / jnp.sqrt(jnp.where(determined, values, jnp.nan))[None]
 
     def points(d: Array, planes: Array) -> Array:
         moved = coplanarity.changed(at, d)
@@ -308,7 +309,7 @@ def _answer(convention: str, oriented: Oriented, s: Float[Array, "point 2"], bas
         coplanarity.parallaxes(start, rays) * units,
         used,
         front & rays.valid,
-        jnp.where(redundancy > 0, jnp.sqrt(cost / jnp.maximum(redundancy, 1)), jnp.nan),
+        jnp.where(redundancy > 0, jnp.sqrt(cost / jnp.maximum(redundancy, 1).astype(float)), jnp.nan),
         redundancy,
         determined & (size < SETTLED),
         _is_parallel(at, rays, used),

@@ -144,7 +144,7 @@ def smooth_share(specification: Specification, width: float = 0.1, points: Point
 
     def measure(prediction: Prediction) -> Array:
         deviations = jnp.sqrt(point_variances(prediction, points))
-        worst = jnp.max(deviations / limits, axis=1)
+        worst = jnp.max(deviations / limits[None], axis=1)
         return jnp.mean(jax.nn.sigmoid((1 - worst) / width))
 
     return measure

@@ -153,7 +153,8 @@ def _unweighted(block: Block, weighted: tuple[Array, ...]) -> tuple[Array, ...]:
 def _redundancy_numbers(block: Block, leverages: tuple[Array, ...]) -> tuple[Array, ...]:
     """Redundancy numbers r = 1 - h; 0 where not observed."""
     observed = np.ones(leverages[0].shape, bool), *(group.structure.observed for group in block.groups)
-    return tuple(on_device((1 - on_host(h)) * o) for h, o in zip(leverages, observed, strict=True))
+    xp = array_module(leverages)
+    return tuple(on_device(xp.where(o, 1 - on_host(h), 0.0)) for h, o in zip(leverages, observed, strict=True))
 
 
 def _adjusted(
@@ -171,9 +172,9 @@ def _adjusted(
         return on_device((np if is_concrete((new, old)) else jnp).where(free, new, old))
 
     shift, free = on_host(origin), structure.exterior_free
-    centre = chosen(free[:, :3], on_host(unknowns.centre).T + shift, block.exterior.projection_centre)
+    centre = chosen(free[:, :3], on_host(unknowns.centre).T + shift[None], block.exterior.projection_centre)
     turned = chosen(free[:, 3:], on_host(angles).T[plan.order.image], block.exterior.angles)
-    points = chosen(structure.point_free, on_host(unknowns.points).T + shift, block.object_points)
+    points = chosen(structure.point_free, on_host(unknowns.points).T + shift[None], block.object_points)
     elements = block.interior.elements.shape[1]
     interior = on_device(on_host(unknowns.interior)[:elements].T)
     return eqx.tree_at(

@@ -44,6 +44,7 @@ def test_pyramid(run, image):
 def test_measure_refuses(run, image):
     assert run("measure")[0] == 2
     assert run("measure", "--refine", "block")[0] == 2
+    assert "--remeasure needs --control" in run("measure", image, "--remeasure")[2]
     code, _, err = run("measure", image, "--principal-distance", 400)
     assert (code, "there is one image only; give at least two that overlap" in err) == (2, True)
     (image.parent / "full").mkdir()

@@ -35,9 +35,13 @@ def test_spline_equals_scipy():
     np.testing.assert_allclose(surface, filtered, rtol=1e-9, atol=1e-9)
     values, slopes = jax.jvp(lambda x: spline.value(surface, x, jnp.asarray(y)), (jnp.asarray(x),), (jnp.ones(400),))
     np.testing.assert_allclose(values, scipy_value(x, y), atol=1e-6)
-    differences = (scipy_value(x + 1e-4, y) - scipy_value(x - 1e-4, y)) / 2e-4
-    away = np.abs((x - 0.5) - np.round(x - 0.5)) > 1e-3  # third derivatives jump at the knots
-    np.testing.assert_allclose(slopes[away], differences[away], atol=1e-4)
+    away = np.abs((x - 0.5) - np.round(x - 0.5)) > 0.03  # third derivatives jump at the knots
+    step = 0.01  # between knots this formula of fourth order is exact for a cubic polynomial
+
+    def central(step):
+        return (scipy_value(x + step, y) - scipy_value(x - step, y)) / (2 * step)
+
+    np.testing.assert_allclose(slopes[away], ((4 * central(step) - central(2 * step)) / 3)[away], atol=1e-6)
 
 
 def test_too_small_windows_have_no_spline():
@@ -50,8 +54,8 @@ def sand(shared_data):
     return grey_image(shared_data / "images" / "copr" / "IMG_0052.jpg")
 
 
-def shifted(sand, options, half=HALF, number=60):
-    """Errors over all shifts of an exactly shifted image with noise of one grey value; their sigmas; iterations."""
+def shifted(sand, options, half=HALF, number=60, shifts=(0, 2, 4, 6)):
+    """Errors for shifts of eighths of a pixel, which are exact, with noise of one grey value; sigmas; iterations."""
     rng = np.random.default_rng(0)
     base = box(sand, 8, 0)
     noisy = base + rng.standard_normal(base.shape)
@@ -60,6 +64,8 @@ def shifted(sand, options, half=HALF, number=60):
     for right in (0, 2, 4, 6):
         other = box(sand, 8, right)
         other = other + rng.standard_normal(other.shape)
+        if right not in shifts:
+            continue
         found = match(
             cut(noisy, rows, columns, half),
             cut(other, rows, columns, MARGIN + half),
@@ -84,31 +90,39 @@ def test_no_bias_and_the_predicted_precision(sand):
 
 @pytest.mark.thorough
 def test_shift_of_larger_windows(sand):
-    errors, sigmas, _ = shifted(sand, MatchOptions(parameters="shift"), half=10)
+    errors, sigmas, _ = shifted(sand, MatchOptions(parameters="shift"), half=10, number=30)
+    assert len(errors) == 120
     assert np.abs(errors.mean(0)).max() < 0.003
-    assert errors.std() < 0.02
+    assert errors.std() < 0.016
     assert np.sqrt(np.mean((errors / sigmas) ** 2)) < 1.4
 
 
 @pytest.mark.thorough
 def test_bilinear_interpolation_has_a_bias(sand):
     """Negative control: the same test sees the bias that the spline does not have."""
-    options = MatchOptions(parameters="shift", interpolation="bilinear", max_iterations=60)
-    errors, *_ = shifted(sand, options, half=10)
-    spline_errors, *_ = shifted(sand, MatchOptions(parameters="shift"), half=10)
-    assert errors.std() > 1.2 * spline_errors.std()
+    bias = {}
+    for interpolation in ("bilinear", "spline"):
+        options = MatchOptions(parameters="shift", interpolation=interpolation, max_iterations=60)
+        errors, *_ = shifted(sand, options, shifts=(6,))
+        bias[interpolation] = np.abs(errors.mean(0)).max()
+    assert bias["bilinear"] > 0.02
+    assert bias["spline"] < 0.01
 
 
-def warped(number, noise, seed, gain=0.9, offset=10.0):
-    """Windows of a texture and of its warp by 5 deg and a scale of 1.05; and the true affine parameters."""
+def warped(number, noise, seed, half=HALF, around=0):
+    """Windows of a texture and of its warp by 5 deg and a scale of 1.05; and the true affine parameters.
+
+    `around`: px around the templates.
+    """
+    gain, offset = 0.9, 10.0
     rng, waves = np.random.default_rng(seed), Waves(seed)
     a = 1.05 * np.array([[np.cos(0.0873), -np.sin(0.0873)], [np.sin(0.0873), np.cos(0.0873)]])
     shift = rng.uniform(-0.5, 0.5, (number, 2))
-    size = 2 * (HALF + MARGIN) + 1
+    size = 2 * (half + MARGIN) + 1
     templates, searched = [], []
     for k in range(number):
         place = rng.uniform(-500, 500, 2)
-        templates.append(waves(*pixel_centres(2 * HALF + 1, (place[0], place[1]))))
+        templates.append(waves(*pixel_centres(2 * (half + around) + 1, (place[0], place[1]))))
         x, y = pixel_centres(size)
         back = np.linalg.solve(a, np.stack([(x - shift[k, 0]).ravel(), (y - shift[k, 1]).ravel()]))
         searched.append((waves(*(back + place[:, None])) - offset).reshape(size, size) / gain)
@@ -135,21 +149,73 @@ def test_warp_of_known_parameters():
     assert np.asarray(found.radiometry)[good].mean(0) == pytest.approx([10.0, 0.9], abs=0.5)
 
 
+def sigmas_of_all(templates, searched, references, found):
+    """Standard deviations of a0, a1, a2, b0, b1, b2, r0, r1 at the solution, from their normal equations."""
+
+    def sigmas(p, template, searched, reference):
+        pair = Pair(template, searched, reference, p[:6])
+        normals, _, total = normal_equations(p, pair, spline.coefficients(searched), False)
+        scale = 1 / jnp.sqrt(jnp.diagonal(normals))
+        cofactors = jnp.diagonal(jnp.linalg.inv(normals * scale[:, None] * scale))
+        return scale * jnp.sqrt(total / (template.size - 8) * cofactors)
+
+    a = np.asarray(found.affine)
+    position, radiometry = np.asarray(found.position), np.asarray(found.radiometry)
+    p = np.concatenate([position[:, :1], a[:, 0], position[:, 1:], a[:, 1], radiometry], 1)
+    return p, np.asarray(jax.jit(jax.vmap(sigmas))(p, templates, searched, references))
+
+
+@pytest.fixture(scope="module")
+def large_windows():
+    """200 windows of 21 x 21 and their warps, matched."""
+    templates, searched, shift, a = warped(200, 0.5, 5, 10)
+    middle, references = 10 + MARGIN + 0.5, np.full((200, 2), 10.5)
+    found = match(templates, searched, references, starts(200, middle, middle), AFFINE)
+    return templates, searched, references, found, shift, a
+
+
+@pytest.mark.thorough
+def test_all_parameters_of_larger_windows(large_windows):
+    templates, searched, references, found, shift, a = large_windows
+    assert found.matched.all()
+    p, sigmas = sigmas_of_all(templates, searched, references, found)
+    middle = 10 + MARGIN + 0.5
+    true = np.tile([middle, *a[0], middle, *a[1]], (200, 1))
+    true[:, [0, 3]] += shift
+    z = ((p[:, :6] - true) / sigmas[:, :6]).T
+    rms = np.sqrt(np.mean(z**2, 1))
+    assert (0.9 < rms).all() and (rms < 1.2).all()
+    assert np.mean(np.abs(z) < 3) > 0.99
+    scale = np.sqrt(np.linalg.det(np.asarray(found.affine)))
+    assert np.abs(scale.mean() - 1.05) < 1e-4
+    assert np.asarray(found.iterations).mean() <= 6
+
+
+@pytest.mark.thorough
 def test_template_and_search_exchanged():
-    """The same pairs measured both ways: their difference is smaller than its prediction from two independent ones."""
-    templates, searched, shift, a = warped(100, 1.0, 6)
-    middle = HALF + MARGIN + 0.5
-    there = match(templates, searched, in_the_middle(100), starts(100, middle, middle), AFFINE)
-    corner = np.floor(np.asarray(there.position)).astype(int) - HALF
-    windows = np.array([g[y : y + 11, x : x + 11] for g, (x, y) in zip(searched, corner, strict=True)])
-    padded = np.pad(templates, [(0, 0), (MARGIN, MARGIN), (MARGIN, MARGIN)], mode="reflect")
+    """The same pairs measured both ways.
+
+    With new noise both measurements are independent. In the same pixels most of the noise is common to them.
+    """
+    whole, searched, *_ = warped(200, 0.0, 5, 10, MARGIN)
+    rng, middle = np.random.default_rng(1), 10 + MARGIN + 0.5
+    noisy = [[g + 0.5 * rng.standard_normal(g.shape) for g in (whole, searched)] for _ in range(2)]
+    inside, column = slice(MARGIN, -MARGIN), np.full((200, 1), middle)
+    references = np.full((200, 2), 10.5)
+    there = match(noisy[0][0][:, inside, inside], noisy[0][1], references, starts(200, middle, middle), AFFINE)
+    corner = np.floor(np.asarray(there.position)).astype(int) - 10
     inverse = np.linalg.inv(np.asarray(there.affine))
-    first = np.concatenate([np.full((100, 1), middle), inverse[:, 0], np.full((100, 1), middle), inverse[:, 1]], 1)
-    back = match(windows, padded, np.asarray(there.position) - corner, first, AFFINE)
-    good = there.matched & back.matched
-    assert good.sum() > 50
-    differences = (np.asarray(back.position)[good] - middle) / np.asarray(there.sigmas)[good]
-    assert np.median(np.abs(differences)) < 1.5
+    first = np.concatenate([column, inverse[:, 0], column, inverse[:, 1]], 1)
+    ratios = []
+    for templates, images in ((noisy[0][1], noisy[0][0]), (noisy[1][1], noisy[1][0])):
+        windows = np.array([g[y : y + 21, x : x + 21] for g, (x, y) in zip(templates, corner, strict=True)])
+        back = match(windows, images, np.asarray(there.position) - corner, first, AFFINE)
+        assert (there.matched & back.matched).all()
+        difference = (np.asarray(there.affine) @ (np.asarray(back.position) - middle)[..., None])[..., 0]
+        predicted = np.sqrt(np.asarray(there.sigmas) ** 2 + np.asarray(back.sigmas) ** 2)
+        ratios.append(np.sqrt(np.mean((difference / predicted) ** 2)))
+    assert ratios[0] < 0.5
+    assert 0.7 < ratios[1] < 1.5
 
 
 def test_level_1_of_a_shifted_image_is_shifted_by_half(sand):
@@ -185,22 +251,6 @@ def test_refusals():
 def test_wrong_shapes_are_refused():
     with pytest.raises(ValueError, match=r"shapes \(2, 11, 11\)"):
         match(np.zeros((2, 11, 11)), np.zeros((2, 35, 35)), np.zeros((2, 2)), np.zeros((1, 6)))
-
-
-@pytest.mark.thorough
-def test_derivatives_of_a_match_equal_differences():
-    templates, searched, *_ = warped(1, 0.5, 8)
-    middle = HALF + MARGIN + 0.5
-    rng = np.random.default_rng(1)
-    along = rng.standard_normal(templates.shape), rng.standard_normal(searched.shape)
-
-    def position(size):
-        f, g = templates + size * along[0], searched + size * along[1]
-        return match(f, g, in_the_middle(1), starts(1, middle, middle), AFFINE).position
-
-    with_slope = jax.jit(lambda size: jax.jvp(position, (size,), (1.0,)))
-    differences = (with_slope(1e-3)[0] - with_slope(-1e-3)[0]) / 2e-3
-    np.testing.assert_allclose(with_slope(0.0)[1], differences, rtol=1e-5, atol=1e-8)
 
 
 def test_normal_equations_are_those_of_the_residuals():

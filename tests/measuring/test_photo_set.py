@@ -7,10 +7,14 @@ from scipy import ndimage
 
 import jaxbundle as jb
 from jaxbundle.imagery.exif import Station
-from jaxbundle.measuring.measured_folder import StationSigmas, write_measured
+from jaxbundle.imagery.xmp import XmpData
+from jaxbundle.io.formats.foreign_block import Known
+from jaxbundle.measuring.control_marks import ControlMarks
+from jaxbundle.measuring.measured_folder import Observed, StationSigmas, write_measured
 from jaxbundle.measuring.measured_rays import MeasuredRays
 from jaxbundle.measuring.measurement import CameraGiven, MeasureOptions, measure
 from jaxbundle.measuring.photo_set import photo_set, read_positions
+from jaxbundle.measuring.stations import stations_of
 
 GIVEN = CameraGiven(principal_distance=300.0)
 
@@ -109,3 +113,45 @@ def test_block_folder(photos, tmp_path):
     ]
     assert "priors = { principal_distance = 9.0 }" in tables["block.toml"]
     assert "priors = { shift = 5.0 }" in tables["block.toml"]
+
+
+def test_block_folder_with_attitudes_and_control(photos, tmp_path):
+    own = photo_set(photos, None, GIVEN)
+    recorded = XmpData(None, (45.0, -90.0, 0.0), (0.01, 0.01, 0.02))
+    own = own._replace(photos=(own.photos[0]._replace(xmp=recorded), *own.photos[1:]))
+    rays = MeasuredRays(np.arange(3), np.zeros(3, int), np.zeros((3, 2)), np.full((3, 2), 0.1), {})
+    points = (Known("1", (500.0, 700.0, np.nan), (0.02, 0.02, 0.03)),)
+    marks = ControlMarks(points, np.array([1, 2]), np.array([0, 0]), np.array([[5.0, 6.0], [7.0, 8.0]]), np.zeros(2))
+    stations = np.array([[0.0, 0, 100], [10, 0, 100], [np.nan] * 3])
+    write_measured(tmp_path / "b", own, rays, stations, StationSigmas(), observed=Observed(marks, 3.0))
+    tables = {path.name: path.read_text().splitlines() for path in (tmp_path / "b").iterdir()}
+    assert tables["stations.csv"][1:] == [
+        "a.png,0.0,0.0,100.0,0.01,0.01,0.02,",
+        "b.png,10.0,0.0,100.0,1.0,1.0,1.5,receiver",
+    ]
+    assert tables["control.csv"][1:] == ["1,500.0,700.0,,0.02,0.02,,control"]
+    assert tables["rays.csv"][3:] == [
+        "c.png,tie-1,0.0,0.0,0.1,0.1",
+        "b.png,1,5.0,6.0,1.0,1.0",
+        "c.png,1,7.0,8.0,1.0,1.0",
+    ]
+    image, *angles = tables["attitudes.csv"][1].split(",")
+    assert image == "a.png"
+    np.testing.assert_allclose(np.array(angles, float), [0, 0, -45, 3, 3, 3], atol=1e-5)
+    assert len(tables["attitudes.csv"]) == 2
+
+
+def test_stations_in_the_system_of_the_control(photos, tmp_path):
+    given = {"a.png": Station(46.8425, -91.995, 198.5), "b.png": Station(46.8427, -91.994, 199.5)}
+    own, list_of = photo_set(photos, None, GIVEN, given), tmp_path / "gcp_list.txt"
+    about_mean, nothing = stations_of(own, None)
+    assert nothing is None and np.isnan(about_mean[2]).all()
+    np.testing.assert_allclose(about_mean[:2, :2].sum(0), 0, atol=0.01)
+    list_of.write_text("EPSG:32615\n576600 5187900 180 20 30 a.png g1\n")
+    stations, control = stations_of(own, list_of)
+    assert control is not None and control.coordinate_system == "EPSG:32615"
+    lengths = [np.linalg.norm((places[1] - places[0])[:2]) for places in (stations, about_mean)]
+    assert lengths[0] == pytest.approx(lengths[1], rel=1e-3)
+    assert 576_000 < stations[0, 0] < 577_000 and stations[0, 2] == 198.5
+    list_of.write_text("500 700 180 20 30 a.png g1\n")
+    assert np.isnan(stations_of(own, list_of)[0]).all()

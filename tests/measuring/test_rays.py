@@ -1,6 +1,7 @@
 """Rays of tracks on images with known shifts between them; the pairs that may overlap."""
 
 import numpy as np
+import pytest
 from cases.images_in_memory import in_memory
 from cases.textures import Waves
 
@@ -8,8 +9,9 @@ from jaxbundle.imagery.interest_points import Features
 from jaxbundle.imagery.match_types import Refusal
 from jaxbundle.imagery.tracks import tracks
 from jaxbundle.imagery.windows import GreyImages
+from jaxbundle.measuring import verify
 from jaxbundle.measuring.measured_rays import measured_rays
-from jaxbundle.measuring.verify import NEIGHBOURS, View, neighbours
+from jaxbundle.measuring.verify import NEIGHBOURS, View, neighbours, verified_pairs
 
 SHIFTS = np.array([[0.0, 0.0], [20.3, -5.6], [-11.8, 31.4]])
 SIZE, NOISE = 260, 0.5
@@ -46,3 +48,29 @@ def test_pairs_of_near_stations():
     assert np.bincount(np.ravel(pairs)).min() >= NEIGHBOURS
     assert (0, 1) in pairs and (0, 17) not in pairs
     assert len(neighbours([*views[:17], views[17]._replace(station=None)])) == 18 * 17 / 2
+
+
+def test_finished_pairs_are_found_again(tmp_path, monkeypatch):
+    rng, tried = np.random.default_rng(1), []
+
+    def fails_at(number):
+        def verified(first, second, sigma):
+            if len(tried) == number:
+                raise KeyboardInterrupt
+            tried.append((first.name, second.name))
+            return np.zeros((0, 2), int) if second.name == "c" else np.array([[1, 2], [3, 4]])
+
+        return verified
+
+    views = [View(Features(rng.uniform(size=(5, 2)), rng.uniform(size=(5, 128))), np.ones(5), None, n) for n in "abc"]
+    monkeypatch.setattr(verify, "verified", fails_at(2))
+    with pytest.raises(KeyboardInterrupt):
+        verified_pairs(views, 2.0, folder=tmp_path / "pairs")
+    monkeypatch.setattr(verify, "verified", fails_at(-1))
+    found = verified_pairs(views, 2.0, folder=tmp_path / "pairs")
+    assert tried == [("a", "b"), ("a", "c"), ("b", "c")]  # none of them twice
+    assert {key: matches.tolist() for key, matches in found.items()} == {(0, 1): [[1, 2], [3, 4]]}
+    moved = views[1]._replace(features=views[1].features._replace(xy=views[1].features.xy + 1))
+    (tmp_path / "pairs" / "a+c.npz").write_bytes(b"cut")
+    verified_pairs([views[0], moved, views[2]], 2.0, folder=tmp_path / "pairs")
+    assert tried[3:] == [("a", "b"), ("a", "c"), ("b", "c")]  # other points of b; a damaged file

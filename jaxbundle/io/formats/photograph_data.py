@@ -6,7 +6,6 @@ approximate value. Heights of drones without RTK are barometric: their standard 
 is north and east.
 """
 
-import re
 from pathlib import Path
 from typing import NamedTuple
 
@@ -15,7 +14,8 @@ from jaxtyping import Float
 
 from jaxbundle.block.findings import Finding, Kind, Severity
 from jaxbundle.block.problems import BlockError, Problem
-from jaxbundle.imagery.exif import Station, exif_of
+from jaxbundle.imagery.exif import exif_of
+from jaxbundle.imagery.xmp import station_of, xmp_of
 from jaxbundle.io.formats.attitudes import rotations_of_gimbal
 from jaxbundle.io.formats.extras import extra
 from jaxbundle.io.formats.foreign_block import Known
@@ -24,21 +24,6 @@ from jaxbundle.io.text_files import UnreadableError, file_bytes
 
 SUFFIXES = (".jpg", ".jpeg", ".tif", ".tiff")
 DIAGONAL_35 = 43.27  # mm, of the format of 35 mm film
-HEAD = 262_144  # bytes that contain EXIF and XMP
-NUMBER = r"[+-]?\d+(?:\.\d*)?(?:[eE][+-]?\d+)?"
-XMP = {
-    "yaw": ("drone-dji:GimbalYawDegree", "Camera:Yaw"),
-    "pitch": ("drone-dji:GimbalPitchDegree", "Camera:Pitch"),
-    "roll": ("drone-dji:GimbalRollDegree", "Camera:Roll"),
-    "latitude": ("drone-dji:Latitude", "drone-dji:GpsLatitude"),
-    "longitude": ("drone-dji:Longitude", "drone-dji:GpsLongitude", "drone-dji:GpsLongtitude"),
-    "altitude": ("drone-dji:AbsoluteAltitude",),
-    "s_latitude": ("drone-dji:RtkStdLat",),
-    "s_longitude": ("drone-dji:RtkStdLon",),
-    "s_height": ("drone-dji:RtkStdHgt",),
-    "s_plan": ("Camera:GPSXYAccuracy",),
-    "s_altitude": ("Camera:GPSZAccuracy",),
-}
 
 
 class Photograph(NamedTuple):
@@ -71,45 +56,17 @@ def read_photograph(path: Path) -> Photograph:
     """
     extra("PIL.Image", "reading EXIF of photographs")
     try:
-        head = file_bytes(path, HEAD)
+        file_bytes(path, 1)
     except UnreadableError as error:
         raise BlockError([Problem(f"{path.name} {error.what}", error.cure)]) from error
-    found = exif_of(path)
-    packet = _packet(head)
+    found, packet = exif_of(path), xmp_of(path)
     width, height = found.size or (None, None)
     f = found.focal_35 / DIAGONAL_35 * float(np.hypot(width, height)) if width and height and found.focal_35 else np.nan
-    position = _position(found.station, packet)
-    drawn = (packet["s_latitude"], packet["s_longitude"], packet["s_height"])
-    if not all(0 < value < np.inf for value in drawn):
-        plan, vertical = packet["s_plan"], packet["s_altitude"]
-        plan = plan if plan > 0 else STATION_SIGMA[0]
-        drawn = (plan, plan, vertical if vertical > 0 else STATION_SIGMA[1])
-    gimbal = (packet["yaw"], packet["pitch"], packet["roll"])
-    return Photograph(path.name, width, height, f, position, drawn, gimbal)
-
-
-def _packet(head: bytes) -> dict[str, float]:
-    """Numbers of an XMP packet, as attributes or elements; NaN where missing."""
-    begin, end = head.find(b"<x:xmpmeta"), head.find(b"</x:xmpmeta")
-    text = head[begin:end].decode("utf-8", "replace") if 0 <= begin < end else ""
-    found = {}
-    for key, names in XMP.items():
-        found[key] = np.nan
-        for name in names:
-            match = re.search(rf'{name}\s*(?:=\s*["\']|>)\s*({NUMBER})', text)
-            if match:
-                found[key] = float(match[1])
-                break
-    return found
-
-
-def _position(station: Station | None, packet: dict[str, float]) -> tuple[float, float, float]:
-    """Longitude, latitude and altitude of EXIF, or of the packet where EXIF has none."""
-    latitude, longitude, altitude = station or (packet["latitude"], packet["longitude"], np.nan)
-    altitude = altitude if np.isfinite(altitude) else packet["altitude"]
-    if latitude == 0 and longitude == 0 or not (abs(latitude) <= 90 and abs(longitude) <= 180):
-        return np.nan, np.nan, np.nan
-    return longitude, latitude, altitude
+    station, unknown = station_of(found.station, packet), (np.nan, np.nan, np.nan)
+    position = unknown if station is None else (station.longitude, station.latitude, station.altitude)
+    assumed = (STATION_SIGMA[0], *STATION_SIGMA)
+    x, y, z = (own if own > 0 else other for own, other in zip(packet.sigmas, assumed, strict=True))
+    return Photograph(path.name, width, height, f, position, (x, y, z), packet.attitude or unknown)
 
 
 def positions_of_photographs(folder: Path) -> Positions:
