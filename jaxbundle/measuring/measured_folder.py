@@ -1,6 +1,5 @@
 """Writing the block folder of measured photographs: cameras, stations and rays, without orientations."""
 
-from collections.abc import Sequence
 from pathlib import Path
 from typing import Any, NamedTuple
 
@@ -104,7 +103,7 @@ def write_measured(
     write_block_toml(folder / FILE, Settings.model_validate(settings))
 
 
-def _rays(names: Sequence[str], rays: MeasuredRays, control: ControlMarks | None) -> Columns:
+def _rays(names: list[str], rays: MeasuredRays, control: ControlMarks | None) -> Columns:
     points = [str(p + 1) for p in rays.point]
     images, xy, sigmas = [names[i] for i in rays.image], rays.xy, rays.sigmas
     if control is not None:
@@ -114,8 +113,8 @@ def _rays(names: Sequence[str], rays: MeasuredRays, control: ControlMarks | None
         images += [names[i] for i in control.image]
         xy = np.concatenate([xy, control.xy])
         sigmas = np.concatenate([sigmas, np.full_like(control.xy, MARK_SIGMA)])
-    columns = zip(("x", "y", "sx", "sy"), np.round(np.concatenate([xy, sigmas], 1), 4).T, strict=True)
-    return {"image": images, "point": points, **dict(columns)}
+    values = np.round(np.concatenate([xy, sigmas], 1), 4)
+    return {"image": images, "point": points, **{c: values[:, k] for k, c in enumerate(("x", "y", "sx", "sy"))}}
 
 
 def _stations(
@@ -123,7 +122,7 @@ def _stations(
 ) -> tuple[Columns, Bool[np.ndarray, " image"]]:
     """The table, and which stations have no standard deviations of their own: they share the shift of a receiver."""
     own = np.array([photos.photos[i].xmp.sigmas for i in known])
-    without = ~((own > 0) & np.isfinite(own)).all(1)
+    without = np.logical_not(np.all((own > 0) & np.isfinite(own), axis=1))
     own[without] = sigmas.horizontal, sigmas.horizontal, sigmas.vertical
     columns: Columns = {
         "image": [photos.photos[i].name for i in known],

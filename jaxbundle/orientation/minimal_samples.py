@@ -52,7 +52,7 @@ def essential_matrices(
         larger = jnp.abs(other[2]) > jnp.abs(w)
         x, y, w = (jnp.where(larger, b, a) for a, b in zip((x, y, w), other, strict=True))
     x, y, z, one = x, y, z * w, w
-    e = _added([factor[None] * basis[k][:, None] for k, factor in enumerate((x, y, z, one))])
+    e = _added([jnp.asarray(factor)[None] * basis[k][:, None] for k, factor in enumerate((x, y, z, one))])
     e = e * jnp.sqrt(2 / jnp.maximum(jnp.sum(e * e, 0, keepdims=True), TINY))
     return e, exists & jnp.isfinite(e).all(0)
 

@@ -87,7 +87,8 @@ def direct_orientation(model: CameraModel, m: Measured) -> Orientation:
     x, y, z, along_x, along_y, along_z = (
         e[:, None] for e in (*m.points, *d)
     )  # broadcast over the axis of the solutions
-    vector = photo_vector(*_with_solutions((rotations, centres)), (x, y, z))
+    each_rotation, each_centre = _with_solutions((rotations, centres))
+    vector = photo_vector(each_rotation, each_centre, (x, y, z))
     cosine = dot(vector, (along_x, along_y, along_z)) / jnp.sqrt(squared(vector))
     misfit = jnp.sum(jnp.where(used[:, None], 1 - cosine, 0.0), 0)
     best = jnp.argmin(jnp.where(jnp.isnan(misfit), jnp.inf, misfit), 0)[None]

@@ -51,6 +51,7 @@ def test_tables_have_units_in_their_names(result):
     assert "sX" in result.to_frames(units=False)["points"].columns
 
 
+@pytest.mark.usefixtures("unchecked_types")  # a number for a name
 @pytest.mark.parametrize(
     ("ask", "words"),
     [

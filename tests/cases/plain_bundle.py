@@ -9,7 +9,7 @@ from typing import NamedTuple
 import numpy as np
 from scipy.spatial.transform import Rotation
 
-MAX_STEPS = 60
+MAX_STEPS = 400  # along the weak directions of a single strip sixty are too few
 SETTLED = 1e-12  # relative change of the sum of squares
 MIN_DAMPING = 1e-10  # with less, rounding makes the equations singular
 

@@ -59,7 +59,7 @@ def gradients(block: Block, devices: int, monkeypatch) -> list[tuple]:
     for most in (0, 3000):
         monkeypatch.setattr(implicit_precision, "MAX_UNKNOWNS", most)
         value, back = eqx.filter_vjp(precision, at)
-        weights = jax.tree.map(lambda q: jnp.cos(1.0 + jnp.arange(q.size)).reshape(q.shape), value)
+        weights = jax.tree.map(lambda q: jnp.cos(1.0 + jnp.arange(q.size, dtype=float)).reshape(q.shape), value)
         by_unknowns, by_problem = back(weights)[0]
         # of the nine elements of a matrix only what turns it; of the images only those of the block
         images = by_unknowns.images

@@ -3,9 +3,10 @@
 import dataclasses
 
 import equinox as eqx
+import jax.numpy as jnp
 import numpy as np
 import pytest
-from cases.block_variants import changed, measured_again, with_distances
+from cases.block_variants import changed, with_distances
 from cases.dense_adjustment import centred, dense_cofactors, dense_system, free_values
 from cases.dense_steps import assert_dense_steps
 from cases.long_tracks import block_of
@@ -20,6 +21,19 @@ from jaxbundle.normals.plan.tiling import SLOTS
 from jaxbundle.solve.adjust import adjust
 from jaxbundle.solve.adjustment import Status
 from jaxbundle.solve.stopping_rules import parallax_rule
+
+
+def measured_again(block: Block, rays: np.ndarray, off: float = 0.7, seed: int = 0) -> Block:
+    """The block with some rays measured again: other coordinates, other sigmas, anywhere between the other rays."""
+    s, rng = block.structure, np.random.default_rng(seed)
+    sigmas = np.asarray(block.rays.sigmas)
+    again = np.asarray(block.rays.coordinates)[rays] + off * sigmas[rays] * rng.normal(size=(len(rays), 2))
+    mixed = rng.permutation(len(sigmas) + len(rays))
+    coordinates = np.concatenate([np.asarray(block.rays.coordinates), again])[mixed]
+    both = np.concatenate([sigmas, 1.5 * sigmas[rays]])[mixed]
+    image, point = (np.concatenate([index, index[rays]])[mixed] for index in (s.ray_image, s.ray_point))
+    block = changed(block, ray_image=image, ray_point=point)
+    return dataclasses.replace(block, rays=Rays(jnp.asarray(coordinates), jnp.asarray(both)))
 
 
 @pytest.fixture(scope="module")
@@ -61,9 +75,9 @@ def test_adjustment_is_the_dense_one(block):
 
 
 @pytest.mark.thorough
-def test_steps_are_the_dense_ones(block):
-    """By the program of the adjustment; in panels and by conjugate gradients see the tests of long tracks."""
-    assert_dense_steps(block, "auto")
+@pytest.mark.parametrize(("method", "devices"), [("auto", 1), ("panels", 2), ("pcg", 1)])
+def test_steps_are_the_dense_ones(block, method, devices):
+    assert_dense_steps(block, method, devices)
 
 
 @pytest.mark.thorough

@@ -151,6 +151,7 @@ def test_foreign_function_is_not_kept(folder):
     assert not list(folder.iterdir())
 
 
+@pytest.mark.usefixtures("unchecked_types")  # wrong types on purpose
 def test_foreign_part_of_an_argument_is_not_kept(folder):
     def turned(*angles):
         return OMEGA_PHI_KAPPA.rotation_from_angles(*angles)

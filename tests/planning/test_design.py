@@ -8,6 +8,7 @@ import pytest
 
 import jaxbundle as jb
 from jaxbundle.planning import design_derivatives
+from jaxbundle.planning.accuracy import control_of
 
 PLAN = jb.planning.schematic(
     strips=1, images=3, control=(jb.planning.ControlSet("corners", sigmas=(0.02, 0.02, 0.03)),)
@@ -40,7 +41,7 @@ def test_a_higher_flight_is_stretched_about_its_centre(truth):
 
 def test_derivatives_of_a_measure(truth, of_blocks):
     """The measure sums the mean height of the stations, the sigmas of the rays and three times an X of control."""
-    (point, *_) = np.flatnonzero(jb.planning.accuracy.control_of(truth))
+    (point, *_) = np.flatnonzero(control_of(truth))
 
     def measure(block):
         return (
@@ -74,7 +75,7 @@ def test_control_moves_to_the_minimum_within_its_reach(truth, of_blocks):
 
 def test_relevant_points_lie_in_the_area(truth):
     judged = jb.planning.in_area(truth, PLAN)
-    assert not judged[jb.planning.accuracy.control_of(truth)].any() and judged.any()
+    assert not judged[control_of(truth)].any() and judged.any()
     x, y = np.asarray(truth.object_points)[:, :2].T
     square = ((x.min() - 1, y.min() - 1), (x.mean(), y.min() - 1), (x.mean(), y.max() + 1), (x.min() - 1, y.max() + 1))
     np.testing.assert_array_equal(
@@ -82,6 +83,7 @@ def test_relevant_points_lie_in_the_area(truth):
     )
 
 
+@pytest.mark.usefixtures("unchecked_types")  # wrong types on purpose
 @pytest.mark.parametrize(
     ("call", "message"),
     [

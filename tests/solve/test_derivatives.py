@@ -28,7 +28,7 @@ LEAVES = {  # what is varied, and by how much at once
     "constant": (lambda b: b.groups[2].constants, 1e-5),
 }
 START = jnp.zeros(len(LEAVES))
-ALL = jnp.cos(jnp.arange(len(LEAVES)))  # a direction in which all leaves vary
+ALL = jnp.cos(jnp.arange(len(LEAVES), dtype=float))  # a direction in which all leaves vary
 RNG = np.random.default_rng(5)
 BLOCK = jb.blocks.with_datum(bent_block(noise=3.0))
 DIRECTIONS = {name: jnp.asarray(step * RNG.standard_normal(get(BLOCK).shape)) for name, (get, step) in LEAVES.items()}
@@ -49,7 +49,7 @@ def varied(t: Float[Array, " leaf"]) -> jb.Block:
 
 def mixed(x: Array) -> Array:
     """A sum of all numbers with different weights."""
-    return jnp.sum(x * jnp.cos(1.0 + jnp.arange(x.size)).reshape(x.shape))
+    return jnp.sum(x * jnp.cos(1.0 + jnp.arange(x.size, dtype=float)).reshape(x.shape))
 
 
 @jax.jit
