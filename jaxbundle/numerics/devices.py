@@ -43,7 +43,7 @@ def dealt(value: Any, devices: int, axis: int = 0) -> Array:
 def copied(tree: Any, devices: int) -> Any:
     """Traced arrays, whole on each device.
 
-    XLA distributes a computation that is not written for several devices by itself, and pads what it deals: transposed
+    XLA distributes a computation that is not written for several devices separately, and pads what it deals: transposed
     derivatives of its padded parts were not finite (jaxlib 0.10.2).
     """
     if devices == 1:

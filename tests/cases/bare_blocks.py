@@ -158,12 +158,18 @@ def attitudes(block: Block) -> np.ndarray:
 
 
 def errors(found: Block, truth: Bare) -> tuple[np.ndarray, np.ndarray]:
-    """Angles in degrees, and distances of the centres over the mean distance of the points, after a similarity."""
+    """Angles in degrees, and distances of the centres over the mean distance of the points, after a similarity.
+
+    NaN for images without an orientation.
+    """
     centre, rotation = np.asarray(found.exterior.projection_centre), attitudes(found)
-    u, _, vt = np.linalg.svd((truth.rotation @ rotation.swapaxes(1, 2)).sum(0))
+    known = np.isfinite(centre).all(1) & np.isfinite(rotation).all((1, 2))
+    u, _, vt = np.linalg.svd((truth.rotation[known] @ rotation[known].swapaxes(1, 2)).sum(0))
     turn = u @ np.diag([1, 1, np.linalg.det(u @ vt)]) @ vt
-    angle = np.degrees(Rotation.from_matrix(truth.rotation.swapaxes(1, 2) @ turn @ rotation).magnitude())
-    scale, r, shift, _ = closed_form(centre, truth.centre, np.ones(len(centre)))
+    angle = np.full(len(centre), np.nan)
+    difference = truth.rotation[known].swapaxes(1, 2) @ turn @ rotation[known]
+    angle[known] = np.degrees(Rotation.from_matrix(difference).magnitude())
+    scale, r, shift, _ = closed_form(centre[known], truth.centre[known], np.ones(known.sum()))
     off = np.linalg.norm(scale * centre @ r.T + shift - truth.centre, axis=1)
     s = found.structure
     depth = np.linalg.norm(truth.points[s.ray_point] - truth.centre[s.ray_image], axis=1).mean()

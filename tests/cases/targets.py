@@ -23,7 +23,8 @@ def outline(image: np.ndarray, at: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
     top, left = max(row - AROUND, 0), max(column - AROUND, 0)
     part = image[top : row + AROUND + 1, left : column + AROUND + 1]
     threshold = (part[row - top, column - left] + np.percentile(part, 90)) / 2
-    labels, _ = ndimage.label(part < threshold)
+    labels = np.zeros(part.shape, int)
+    ndimage.label(part < threshold, output=labels)
     y, x = np.nonzero(labels == labels[row - top, column - left])
     values, axes = np.linalg.eigh(np.cov(np.stack([x, y])))
     centre = np.array([x.mean() + left + 0.5, y.mean() + top + 0.5])
