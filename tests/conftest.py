@@ -2,8 +2,12 @@ import gc
 import os
 from pathlib import Path
 
-import jax
+# before the workers import numpy: on busy cores, threads of BLAS that wait take ten times the time of the computation
+os.environ.setdefault("OPENBLAS_NUM_THREADS", "1")
+
+import jax  # noqa: E402
 import pytest
+from cases.typechecker import check_types, unchecked  # before the package
 from hypothesis import settings
 
 from jaxbundle.numerics import programs
@@ -21,7 +25,15 @@ settings.load_profile("reproducible")
 gc.set_threshold(100_000, 20, 100)  # tracing makes many objects and few cycles
 MAPS, MAX_MAPS = Path("/proc/self/maps"), 20_000
 MEMORY, MAX_PAGES = Path("/proc/self/statm"), 3_000_000_000 // os.sysconf("SC_PAGE_SIZE")
-SHARED_DATA = Path(__file__).parents[2] / "shared" / "data"
+TESTS = Path(__file__).parent
+SHARED_DATA = TESTS.parents[1] / "shared" / "data"
+# folders whose arguments do not all have the types of the package yet, or have not been read for it
+UNCHECKED = (
+    *("cli", "diagnosis", "docs", "house", "imagery", "independent", "measuring", "normals", "planning", "report"),
+    *("solve", "statistics"),
+)
+# and those that may still leave the promotion of types and ranks to JAX
+PROMOTING = (*UNCHECKED, "block", "io", "orientation", "textbook")
 
 
 def pytest_configure(config: pytest.Config) -> None:
@@ -31,6 +43,15 @@ def pytest_configure(config: pytest.Config) -> None:
         programs.keep_in(Path(config.cache.mkdir("programs")))
         jax.config.update("jax_persistent_cache_min_compile_time_secs", 0.1)
         jax.config.update("jax_persistent_cache_min_entry_size_bytes", -1)
+
+
+@pytest.fixture(scope="module", autouse=True)
+def strictness(request: pytest.FixtureRequest) -> None:
+    """Types and shapes are checked, and JAX promotes neither types nor ranks, but for the folders named above."""
+    folder = request.path.relative_to(TESTS).parts[0]
+    check_types(folder not in UNCHECKED)
+    jax.config.update("jax_numpy_dtype_promotion", "standard" if folder in PROMOTING else "strict")
+    jax.config.update("jax_numpy_rank_promotion", "allow" if folder in PROMOTING else "raise")
 
 
 @pytest.fixture(scope="module", autouse=True)
@@ -45,6 +66,13 @@ def forgotten_programs():
     if full or not MAPS.exists() or MAPS.read_bytes().count(b"\n") > MAX_MAPS:
         Compiled.forget()
         jax.clear_caches()
+
+
+@pytest.fixture
+def unchecked_types():
+    """For tests that pass wrong types on purpose."""
+    with unchecked():
+        yield
 
 
 @pytest.fixture(scope="session")

@@ -326,7 +326,7 @@ class Block(Facade):
         shift = on_host(shift)
 
         def moved(coordinates: Float[Array, "entity 3"]) -> Float[Array, "entity 3"]:
-            return on_device(on_host(coordinates) + shift)
+            return on_device(on_host(coordinates) + shift[None])
 
         def moved_group(group: ObservationGroup) -> ObservationGroup:
             kind = group.structure.kind
@@ -335,7 +335,9 @@ class Block(Facade):
             by = [shift["XYZ".index(name)] if name in ("X", "Y", "Z") else 0.0 for name in kind.constants]
             if kind.constants:
                 xp = array_module(shift)
-                group = eqx.tree_at(lambda g: g.constants, group, on_device(on_host(group.constants) + xp.stack(by)))
+                group = eqx.tree_at(
+                    lambda g: g.constants, group, on_device(on_host(group.constants) + xp.stack(by)[None])
+                )
             return group
 
         groups = tuple(map(moved_group, self.groups))

@@ -110,9 +110,10 @@ def _datum_rows(
         moved = Unknowns(moved.rotation, moved.centre, moved.interior, moved.parameters + changes[7:], moved.points)
         angles = jnp.stack(o.system.angles_from_rotation(tuple(moved.rotation[:, held])))
         exterior = jnp.concatenate([moved.centre[:, held] / radius, angles])
-        rows = [moved.points[:, fixed] * ~o.point_free[:, fixed] / radius, exterior * ~o.exterior_free[:, held]]
+        points = jnp.where(o.point_free[:, fixed], 0.0, moved.points[:, fixed])
+        rows = [points / radius, jnp.where(o.exterior_free[:, held], 0.0, exterior)]
         residuals = [group_residuals(moved, group) for group in o.groups]
-        rows += [v * _is_observed(group) / radius for v, group in zip(residuals, o.groups, strict=True)]
+        rows += [jnp.where(_is_observed(group), v, 0.0) / radius for v, group in zip(residuals, o.groups, strict=True)]
         of_groups = [weighted(v, group).ravel() for v, group in zip(residuals, o.groups, strict=True)]
         return [row.ravel() for row in rows], of_groups
 

@@ -132,7 +132,7 @@ class ObservationGroup(eqx.Module):
         """Square roots of the weights: 1/sigma, or L^-1 for covariances L L^T; 0 where not observed."""
         observed = self.structure.observed
         if self.covariances is None:
-            return on_device(observed / on_host(self.sigmas))
+            return on_device(observed.astype(float) / on_host(self.sigmas))
         both = observed[:, :, None] & observed[:, None, :]
         xp = array_module(self.covariances)
         size = observed.shape[1]

@@ -111,7 +111,7 @@ def weighted(residuals: Float[Array, "component member"], group: Group) -> Float
     """Residuals times the square roots of their weights: uncorrelated, of unit variance."""
     if group.weights.ndim == 2:
         return residuals * group.weights
-    return jnp.sum(group.weights * residuals, 1)
+    return jnp.sum(group.weights * residuals[None], 1)
 
 
 def ray_residuals(unknowns: Unknowns, observations: Observations) -> Float[Array, "component ray"]:

@@ -147,7 +147,7 @@ def corrected(
     )
 
 
-def angles_near(matrix: Rotation, reference: Float[Array, "3 image"], system: RotationSystem) -> Angles:
+def angles_near(matrix: Rotation, reference: Float[Array, "3 *image"], system: RotationSystem) -> Angles:
     """The angles of a matrix that are nearest to the reference.
 
     Full turns are those of the reference. The second solution (first + 180 deg, 180 deg - middle, last + 180 deg) is

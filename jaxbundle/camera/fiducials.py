@@ -39,8 +39,9 @@ class FiducialError(ValueError):
     """The error for fiducials that do not determine a transformation: `what` is wrong, and its `cure`.
 
     Example:
+        >>> scan, calibrated = np.array([[10.0, 12.0]]), np.array([[-106.0, 106.0]])
         >>> try:
-        ...     jb.cameras.inner_orientation("8811", "affine", ("1",), [[10.0, 12.0]], [[-106.0, 106.0]])
+        ...     jb.cameras.inner_orientation("8811", "affine", ("1",), scan, calibrated)
         ... except jb.cameras.FiducialError as error:
         ...     print(error.what)
         image 8811 has 1 fiducial, too few for the affine transformation

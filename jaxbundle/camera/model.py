@@ -98,6 +98,29 @@ def reduced(measured: ImagePoint, x0: Scalar, y0: Scalar, pixel_size: Scalar, y_
     return (measured[0] - x0) * pixel_size, y_axis * (measured[1] - y0) * pixel_size
 
 
+@dataclass(frozen=True)
+class _Selected:
+    """The residual of a mixture; an object with a name in this module, so that its programs can be cached.
+
+    `length`: number of interior elements before the index in `kinds`.
+    """
+
+    kinds: tuple[CameraModel, ...]
+    length: int
+
+    def __call__(self, interior: tuple[Scalar, ...], photo_vector: Vector, measured: Measured) -> Residual:
+        v: Residual = (0.0 * measured[0],) * self.kinds[0].components
+        for k, model in enumerate(self.kinds):
+            chosen = interior[self.length] == k
+            # elements of another kind might give a division by 0 here, or be coefficients of a high power of the
+            # measured coordinates; and 0 times an infinite derivative is not 0
+            own = tuple(jnp.where(chosen, element, 1.0) for element in interior[: len(model.elements)])
+            point = tuple(jnp.where(chosen, number, 0.0) for number in measured)
+            of_kind = model.residual(own, photo_vector, point)
+            v = tuple(jnp.where(chosen, new, old) for new, old in zip(of_kind, v, strict=True))
+        return v
+
+
 @cache
 def mixture(models: tuple[CameraModel, ...]) -> CameraModel:
     """One model for cameras with different models: interior elements padded with ones, then the index in `kinds`.
@@ -115,18 +138,6 @@ def mixture(models: tuple[CameraModel, ...]) -> CameraModel:
     if len(components) > 1 or len(numbers) > 1:
         raise ValueError(f"sensors of different kinds in one block: {', '.join(model.name for model in kinds)}")
 
-    def residual(interior: tuple[Scalar, ...], photo_vector: Vector, measured: Measured) -> Residual:
-        v: Residual = (0.0 * measured[0],) * kinds[0].components
-        for k, model in enumerate(kinds):
-            chosen = interior[length] == k
-            # elements of another kind might give a division by 0 here, or be coefficients of a high power of the
-            # measured # coordinates; and 0 times an infinite derivative is not 0
-            own = tuple(jnp.where(chosen, element, 1.0) for element in interior[: len(model.elements)])
-            point = tuple(jnp.where(chosen, number, 0.0) for number in measured)
-            of_kind = model.residual(own, photo_vector, point)
-            v = tuple(jnp.where(chosen, new, old) for new, old in zip(of_kind, v, strict=True))
-        return v
-
     elements = (*(f"element {k + 1}" for k in range(length)), "kind")
     name = " | ".join(model.name for model in kinds)
-    return CameraModel(name, elements, residual, components.pop(), numbers.pop())
+    return CameraModel(name, elements, _Selected(kinds, length), components.pop(), numbers.pop())

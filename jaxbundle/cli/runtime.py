@@ -25,7 +25,7 @@ def start(cluster: Cluster | None = None, processes: int = 1) -> None:
     Raises: typer.BadParameter for a cluster that cannot be joined.
     """
     jax.config.update("jax_enable_x64", True)
-    jax.config.update("jax_num_cpu_devices", max(1, min(_cores() // processes, MAX_DEVICES)))
+    jax.config.update("jax_num_cpu_devices", max(1, min(cores() // processes, MAX_DEVICES)))
     keep_programs()
     if cluster is not None:
         _join(cluster)
@@ -95,6 +95,6 @@ def _end_at_once(before: Callable[[], None]) -> None:
     os._exit(Code.BAD_INPUT)
 
 
-def _cores() -> int:
+def cores() -> int:
     """Number of cores that this process may use."""
     return len(os.sched_getaffinity(0)) if hasattr(os, "sched_getaffinity") else os.cpu_count() or 1

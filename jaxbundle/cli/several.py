@@ -134,6 +134,8 @@ def _in_turn(tasks: Sequence[Task], wanted: Wanted, stop: Interruption) -> Itera
 def _in_processes(tasks: Sequence[Task], wanted: Wanted, jobs: int, stop: Interruption) -> Iterator[tuple[Task, Done]]:
     """Adjusts with worker processes; yields results as they finish."""
     jobs = min(jobs, len(tasks))
+    # read by numpy when a worker starts: threads of BLAS that wait for a core of another worker waste its time
+    os.environ.setdefault("OPENBLAS_NUM_THREADS", str(max(1, runtime.cores() // jobs)))
     spawn = multiprocessing.get_context("spawn")  # forked processes would share threads of JAX
     with ProcessPoolExecutor(jobs, spawn, _set_up, (jobs,)) as pool:
         stop.before_the_end = lambda: _kill(pool)  # otherwise the workers would outlive their parent

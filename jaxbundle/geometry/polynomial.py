@@ -64,8 +64,10 @@ def all_roots(coefficients: Float[Array, " k"]) -> Complex[Array, " n"]:
     degree = coefficients.shape[0] - 1
     leading = jnp.where(jnp.abs(coefficients[-1]) < TINY, TINY, coefficients[-1])
     c = coefficients / leading
-    radius = jnp.max(jnp.abs(c[:-1]) ** (1 / (degree - jnp.arange(degree))))
-    start = radius * jnp.exp(1j * (2 * jnp.pi * jnp.arange(degree) / degree + ASYMMETRY))
+    number = jnp.arange(degree, dtype=c.dtype)
+    radius = jnp.max(jnp.abs(c[:-1]) ** (1 / (degree - number)))
+    c, angle = c.astype(complex), 2 * jnp.pi * number / degree + ASYMMETRY
+    start = radius.astype(complex) * jnp.exp(1j * angle.astype(complex))
 
     def step(_: Array, z: Array) -> Array:
         value, slope = jnp.full_like(z, c[-1]), jnp.zeros_like(z)
@@ -73,7 +75,7 @@ def all_roots(coefficients: Float[Array, " k"]) -> Complex[Array, " n"]:
             slope = slope * z + value
             value = value * z + c[k]
         newton = value / jnp.where(slope == 0, TINY, slope)
-        difference = z[:, None] - z
+        difference = z[:, None] - z[None]
         repelled = jnp.sum(jnp.where(difference == 0, 0.0, 1 / jnp.where(difference == 0, 1.0, difference)), 1)
         change = newton / (1 - newton * repelled)
         return jnp.where(jnp.isfinite(change), z - change, z)

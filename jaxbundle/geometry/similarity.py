@@ -53,10 +53,10 @@ def similarity(
     total, used = jnp.sum(weights), (weights > 0)[:, None]
     x, o = jnp.where(used, model, 0.0), jnp.where(used, object_points, 0.0)
     x_centre, o_centre = weights @ x / total, weights @ o / total
-    dx, do = jnp.where(used, x - x_centre, 0.0), jnp.where(used, o - o_centre, 0.0)
+    dx, do = jnp.where(used, x - x_centre[None], 0.0), jnp.where(used, o - o_centre[None], 0.0)
     u, d, vt = jnp.linalg.svd((weights[:, None] * do).T @ dx)
     sign = jnp.sign(jnp.linalg.det(u) * jnp.linalg.det(vt))
     s = jnp.array([1.0, 1.0, 0.0]) + sign * jnp.array([0.0, 0.0, 1.0])
-    r = (u * s) @ vt
+    r = (u * s[None]) @ vt
     scale = d @ s / (weights @ jnp.sum(dx * dx, 1))
     return ClosedForm(Similarity(scale, r, o_centre - scale * r @ x_centre), d, sign < 0)

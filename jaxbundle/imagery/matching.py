@@ -15,19 +15,20 @@ derivatives follow, so that the derivative is that of the minimum (implicit func
 """
 
 import dataclasses
-from typing import Any, NamedTuple
+from typing import NamedTuple
 
 import jax
 import jax.numpy as jnp
 import numpy as np
 from jax import lax
 from jax.scipy.linalg import cho_factor, cho_solve
-from jaxtyping import Array, Bool, Float
+from jaxtyping import Array, ArrayLike, Bool, Float, Real
 
 from jaxbundle.imagery import spline
 from jaxbundle.imagery.match_types import DEFAULT, SCALE, SIGNIFICANT, Matches, MatchOptions, Refusal
 from jaxbundle.numerics.compilation import Compiled
 from jaxbundle.numerics.host import is_concrete, on_device
+from jaxbundle.numerics.nested import Nested
 from jaxbundle.numerics.program_cache import prepare_jax
 
 UNKNOWNS = 8
@@ -72,10 +73,10 @@ class _State(NamedTuple):
 
 
 def match(
-    templates: Float[Any, "match height width"],
-    searched: Float[Any, "match row column"],
-    references: Float[Any, "match 2"],
-    starts: Float[Any, "match 6"],
+    templates: Real[ArrayLike, "match height width"] | Nested,
+    searched: Real[ArrayLike, "match row column"] | Nested,
+    references: Real[ArrayLike, "match 2"] | Nested,
+    starts: Real[ArrayLike, "match 6"] | Nested,
     options: MatchOptions = DEFAULT,
 ) -> Matches:
     """Matches many windows at once by least squares, from predicted positions.
@@ -147,8 +148,8 @@ def residuals(p: Float[Array, "8"], pair: Pair, surface: Array, bilinear: bool) 
 def _from_reference(pair: Pair) -> tuple[Array, Array]:
     """Coordinates of the template's pixels from its reference point."""
     rows, columns = pair.template.shape
-    x = jnp.tile(jnp.arange(columns) + 0.5, rows) - pair.reference[0]
-    return x, jnp.repeat(jnp.arange(rows) + 0.5, columns) - pair.reference[1]
+    x = jnp.tile(jnp.arange(columns, dtype=float) + 0.5, rows) - pair.reference[0]
+    return x, jnp.repeat(jnp.arange(rows, dtype=float) + 0.5, columns) - pair.reference[1]
 
 
 def _places(p: Array, pair: Pair) -> tuple[Array, Array]:
@@ -178,11 +179,11 @@ def _with_slopes(surface: Array, x: Array, y: Array, bilinear: bool) -> tuple[Ar
 
 def _factor(normals: Array, free: Array) -> tuple[Array, Array, Array]:
     """Cholesky factor of the normal equations with unit diagonal, the scale, and whether all is determined."""
-    both = free[:, None] & free
+    both = free[:, None] & free[None]
     diagonal = jnp.diagonal(normals)
     good = free & (diagonal > 0)
     scale = jnp.where(good, 1 / jnp.sqrt(jnp.where(good, diagonal, 1.0)), 1.0)
-    n = jnp.where(both, normals * scale[:, None] * scale, 0.0) + jnp.diag(jnp.where(good, 0.0, 1.0))
+    n = jnp.where(both, normals * scale[:, None] * scale[None], 0.0) + jnp.diag(jnp.where(good, 0.0, 1.0))
     factor = cho_factor(n, lower=True)[0]
     pivots = jnp.diagonal(factor)
     determined = jnp.isfinite(pivots).all() & (jnp.min(jnp.where(free, pivots, 1.0)) ** 2 > FLAT) & (good == free).all()
@@ -212,9 +213,9 @@ def _solution(bilinear: bool, limits: Limits, pair: Pair, surface: Array, free: 
     state = lax.while_loop(goes_on, step, state)
     normals, _, total = normal_equations(state.p, pair, surface, bilinear)
     factor, scale, determined = _factor(normals, free)
-    variance = total / (pair.template.size - jnp.sum(free))
-    cofactors = scale[:, None] * cho_solve((factor, True), jnp.eye(UNKNOWNS)) * scale
-    cofactors = jnp.where(determined & free[:, None] & free, cofactors, 0.0)
+    variance = total / (pair.template.size - jnp.sum(free).astype(float))
+    cofactors = scale[:, None] * cho_solve((factor, True), jnp.eye(UNKNOWNS)) * scale[None]
+    cofactors = jnp.where(determined & free[:, None] & free[None], cofactors, 0.0)
     return state._replace(valid=state.valid & determined), variance * cofactors, jnp.sqrt(variance)
 
 
@@ -306,7 +307,7 @@ def _differentiable(form: Form, limits: Limits, pair: Pair) -> Matches:
 
     def newton(p: Array, pair: Pair) -> Array:
         still = jax.tree.map(lax.stop_gradient, pair)
-        hessian = jnp.where(free[:, None] & free, jax.hessian(half_squares)(p, still), jnp.eye(UNKNOWNS))
+        hessian = jnp.where(free[:, None] & free[None], jax.hessian(half_squares)(p, still), jnp.eye(UNKNOWNS))
         return p - jnp.linalg.solve(hessian, jnp.where(free, jax.grad(half_squares)(p, pair), 0.0))
 
     a, (r0, r1) = found.affine, found.radiometry

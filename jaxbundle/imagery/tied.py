@@ -12,12 +12,12 @@ complement of (1, g_j). The orientations are fixed, so the result is an object p
 The noise of the template is common to all images; the standard deviations neglect that.
 """
 
-from typing import Any, NamedTuple
+from typing import NamedTuple
 
 import jax
 import jax.numpy as jnp
 from jax import lax
-from jaxtyping import Array, Bool, Float, Int
+from jaxtyping import Array, ArrayLike, Bool, Float, Int, Real
 
 from jaxbundle.camera.collinearity import photo_vector
 from jaxbundle.camera.direction import direction
@@ -26,6 +26,7 @@ from jaxbundle.camera.projection import projection
 from jaxbundle.imagery import spline
 from jaxbundle.imagery.match_types import MIN_CORRELATION, Refusal
 from jaxbundle.numerics.compilation import Compiled
+from jaxbundle.numerics.nested import Nested
 from jaxbundle.numerics.program_cache import prepare_jax
 
 MAX_ITERATIONS = 20
@@ -78,8 +79,8 @@ def match_tied(
     model: CameraModel,
     template: OrientedWindow,
     searched: OrientedWindow,
-    point: Float[Any, "2"],
-    distance: Float[Any, ""],
+    point: Real[ArrayLike, "2"] | Nested,
+    distance: Real[ArrayLike, ""] | Nested,
 ) -> TiedMatch:
     """Computes object point and surface normal of a point of the template from all other images at once.
 
@@ -106,8 +107,8 @@ def match_tied(
 @Compiled
 def _tied(model: CameraModel, template: OrientedWindow, searched: OrientedWindow, point: Array, z: Array) -> TiedMatch:
     rows, columns = template.grey.shape
-    x = template.corner[0] + jnp.tile(jnp.arange(columns) + 0.5, rows)
-    y = template.corner[1] + jnp.repeat(jnp.arange(rows) + 0.5, columns)
+    x = template.corner[0] + jnp.tile(jnp.arange(columns, dtype=float) + 0.5, rows)
+    y = template.corner[1] + jnp.repeat(jnp.arange(rows, dtype=float) + 0.5, columns)
     a, b = _plane(model, template.interior, x, y)
     a0, b0 = _plane(model, template.interior, point[:1], point[1:])
     surfaces = jax.vmap(spline.coefficients)(searched.grey)
@@ -121,9 +122,9 @@ def _tied(model: CameraModel, template: OrientedWindow, searched: OrientedWindow
         g, gx, gy = jax.vmap(_with_gradient)(surfaces, xy)
         one = jnp.ones_like(g)
         gc = g - jnp.mean(g, 1, keepdims=True)
-        r1 = jnp.sum(gc * f, 1) / jnp.maximum(jnp.sum(gc * gc, 1), 1e-12)
+        r1 = jnp.sum(gc * f[None], 1) / jnp.maximum(jnp.sum(gc * gc, 1), 1e-12)
         r0 = jnp.mean(f) - r1 * jnp.mean(g, 1)
-        v = r0[:, None] + r1[:, None] * g - f
+        v = r0[:, None] + r1[:, None] * g - f[None]
         a_rows = r1[:, None, None] * (gx[..., None] * slopes[:, 0] + gy[..., None] * slopes[:, 1])
         a_rows = a_rows - jnp.mean(a_rows, 1, keepdims=True) * one[..., None]
         along = jnp.einsum("jn,jnk->jk", gc, a_rows) / jnp.maximum(jnp.sum(gc * gc, 1), 1e-12)[:, None]

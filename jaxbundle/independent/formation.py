@@ -166,8 +166,8 @@ def _formed(rotation: Array, base: Array, length: Array, arrays: tuple[Array, ..
     r = coplanarity.parallaxes(at, rays)
     _, normals, _, rows = coplanarity.normal_equations(at, rays, coplanarity.squares(used))
     scale = 1 / jnp.sqrt(jnp.diagonal(normals))
-    values, vectors = jnp.linalg.eigh(normals * scale[:, None] * scale)
-    factor = scale[:, None] * vectors / jnp.sqrt(jnp.where(values > SMALLEST * values[-1], values, jnp.nan))
+    values, vectors = jnp.linalg.eigh(normals * scale[:, None] * scale[None])
+    factor = scale[:, None] * vectors / jnp.sqrt(jnp.where(values > SMALLEST * values[-1], values, jnp.nan))[None]
     planes = jnp.concatenate([first[:, :2], second[:, :2]], 1)
 
     def shifted(planes: Array) -> Rays:

@@ -160,7 +160,7 @@ def _require_rows(table: Table, owner: OwnerSchema, numbers: Int[np.ndarray, " r
     count = np.bincount(numbers[numbers >= 0], minlength=len(owners))
     few = np.flatnonzero(count < owner.min_rows)
     if len(few):
-        first = [table.lines[np.argmax(numbers == k)] for k in few]
+        first = [int(table.lines[np.argmax(numbers == k)]) for k in few]
         what = f"{table.schema.row} {shown(owners[few[0]])} has {count[few[0]]} of at least {owner.min_rows} points"
         table.noted.add_rows(table.file, first, what, "name more of its points or drop it")
 

@@ -24,7 +24,7 @@ from jaxbundle.io.schema import Column, TableSchema
 from jaxbundle.io.text_files import read_text
 
 Columns = Mapping[str, Sequence[str] | pl.Series | Float[np.ndarray, " row"]]
-Rows = Sequence[int] | Int[np.ndarray, " row"]
+Rows = Sequence[int] | Int[np.ndarray, " noted"]
 Words = str | Callable[[int], str]  # of a row, or a function of the row number
 
 ROW = 120  # maximum number of characters of a row in a message

@@ -62,7 +62,7 @@ def _takes_part(rows: KnownRows) -> Int[np.ndarray, " row"]:
     return np.flatnonzero((rows.held | rows.observed).any(1))
 
 
-def _subjects(kind: str, rows: KnownRows, members: Iterable[int]) -> tuple[Subject, ...]:
+def _subjects(kind: str, rows: KnownRows, members: Iterable[int] | Int[np.ndarray, " member"]) -> tuple[Subject, ...]:
     return tuple(Subject(kind, (rows.names[row],)) for row in list(members)[:SUBJECTS])
 
 

@@ -39,7 +39,7 @@ def substitute(
     linear: Linearised,
     direction: Float[Array, "image number"],
     after: Float[Array, "image number"],
-    stored: Float[Array, "tile number"],
+    stored: Float[Array, "tile value"],
     damping: Array,
 ) -> Substituted:
     """All chunks of one device. `direction`, `after`: values of the images along the step and after it."""
@@ -56,7 +56,7 @@ def substitute(
         coupled = sum_by_tile(list(at_points), chunk)
 
         equations = point_equations(chunk.window(stored), n)
-        own = (jnp.arange(chunk.max_tiles) < chunk.tile_count)[:, None]
+        own = (jnp.arange(chunk.max_tiles, dtype=jnp.int32) < chunk.tile_count)[:, None]
         x, y, z = (g + t for g, t in zip(equations.gradient, coupled, strict=True))
         dx = [jnp.where(own, -d, 0.0) for d in backward(equations.factor, forward(equations.factor, (x, y, z)))]
         stepped = [chunk.window(x) + d for x, d in zip(points, dx, strict=True)]

@@ -79,7 +79,7 @@ def _problem_along(p: Problem, cells: list[Array], others: list[Array]) -> Probl
         for group, k in zip(p.observations.groups, of_groups, strict=True)
     ]
 
-    def weights(p: Problem) -> list[Array]:
+    def weights(p: Problem) -> list[Any]:
         return [*(t.weights for t in p.tiles), p.border_rays.weights, *(g.weights for g in p.observations.groups)]
 
     return eqx.tree_at(weights, nothing, [*of_tiles, of_rays, *groups])

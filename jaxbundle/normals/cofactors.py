@@ -130,7 +130,7 @@ def cofactors_of_chunk(
         border_g = gb[e.chunk.tile[:, None], rows].reshape(-1, p.layout.shared, 3, n)
     by_slot = _contracted(coupling.reshape(-1, d, 3, n), g)
     m = jnp.zeros((part.max_tiles, 3, 3, n)).at[e.chunk.tile].add(by_slot) + own_border
-    matrix = m + jnp.eye(3)[:, :, None]
+    matrix = m + jnp.eye(3)[None, :, :, None]
     return e, matrix, cell_products(e, q, TileCofactors(g, border_g, matrix), p)
 
 

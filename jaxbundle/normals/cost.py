@@ -77,7 +77,7 @@ def _cost_of_tiles(
 
 
 def _tiles_of_chunks(slot_tile: Int[Array, "chunk slot"], part: Tiles) -> Int[Array, "chunk tile"]:
-    return slot_tile[:, :1] + jnp.arange(part.max_tiles)
+    return slot_tile[:, :1] + jnp.arange(part.max_tiles, dtype=jnp.int32)[None]
 
 
 def other_residuals(unknowns: OrderedUnknowns, p: Problem) -> list[Array]:
@@ -101,7 +101,7 @@ def weighted_residuals(unknowns: OrderedUnknowns, p: Problem) -> list[Array]:
     Cells come first, one array per component and part, 0 without ray.
     """
     values, cells = image_table(unknowns.images, None, p.observations), []
-    first = unknowns.tiles.shape[1] // p.devices * jnp.arange(p.devices)[:, None, None]
+    first = unknowns.tiles.shape[1] // p.devices * jnp.arange(p.devices, dtype=jnp.int32)[:, None, None]
     for part in p.tiles:
         number = jnp.moveaxis(values[part.slot_image], -1, 0)[..., None]
         points = tuple(unknowns.tiles[:, part.slot_tile + first])

@@ -59,7 +59,7 @@ class Eliminated(NamedTuple):
     residual: tuple[Array, ...]
     z: list[Array]
     """The vector z at the slots."""
-    stored: Float[Array, "tile number"]
+    stored: Float[Array, "tile value"]
     """See `point_equations`."""
     curvature: RayCurvature | None
     """Second derivatives, `mixed` times L^-T."""
@@ -140,13 +140,13 @@ def border_rows(e: Eliminated, p: Problem) -> Float[Array, "tile border column"]
     rows = coupling_rows(e, layout.image, layout.shared)
     camera = p.observations.image_camera[e.chunk.slot_image]
     tiles = e.chunk.max_tiles
-    of_tile = e.chunk.tile[None, None, :] == jnp.arange(tiles)[:, None, None]
-    of_camera = camera[None, None, :] == jnp.arange(layout.cameras)[None, :, None]
+    of_tile = e.chunk.tile[None, None, :] == jnp.arange(tiles, dtype=jnp.int32)[:, None, None]
+    of_camera = camera[None, None, :] == jnp.arange(layout.cameras, dtype=jnp.int32)[None, :, None]
     chosen = (of_tile & of_camera).astype(rows.dtype).reshape(-1, rows.shape[0])
     return (chosen @ rows).reshape(tiles, layout.first_parameter, -1)
 
 
-def eliminate(linear: Linearised, damping: Array) -> tuple[RaySums, Float[Array, "tile number"]]:
+def eliminate(linear: Linearised, damping: Array) -> tuple[RaySums, Float[Array, "tile value"]]:
     """All chunks of one device: sums for the reduced equations, and stored values of each point."""
     p = linear.problem
     d, images = p.layout.image, linear.table.shape[0]

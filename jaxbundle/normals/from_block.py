@@ -12,7 +12,7 @@ import numpy as np
 from jaxtyping import Array, Bool, Float, Int
 
 from jaxbundle.block.block import Block, Structure
-from jaxbundle.block.residuals import Observations, group_arrays
+from jaxbundle.block.residuals import Group, Observations, group_arrays
 from jaxbundle.block.unknowns import Unknowns, corrected_in_angles
 from jaxbundle.normals.cholesky import DenseCholesky
 from jaxbundle.normals.panel_cholesky import PanelCholesky
@@ -24,6 +24,8 @@ from jaxbundle.numerics.devices import AXIS, dealt
 from jaxbundle.numerics.host import array_module, is_concrete, on_device, on_host
 from jaxbundle.numerics.shapes import grid_size
 
+FEWEST_MEMBERS = 32  # of a padded group: small blocks with equal kinds of observations share a program
+
 
 def problem(plan: EliminationPlan, block: Block) -> Problem:
     """The observations of a block in elimination order."""
@@ -32,7 +34,7 @@ def problem(plan: EliminationPlan, block: Block) -> Problem:
         tuple(_tiles(part, block, plan.devices) for part in plan.parts),
         _border_rays(plan, block),
         on_device(plan.diagonal_pair),
-        tuple(None if pair is None else on_device(pair) for pair in plan.group_pairs),
+        tuple(None if pair is None else on_device(pair[_members(len(pair))]) for pair in plan.group_pairs),
         reduced_solver(plan.reduced),
         plan.layout,
         plan.devices,
@@ -125,6 +127,27 @@ def _padded(values: Any, size: int) -> Any:
     return array_module(values).concatenate([values, np.zeros(size - len(values), values.dtype)])
 
 
+def _members(count: int) -> Int[np.ndarray, " padded"]:
+    """Indices of the members of a group, padded with the first member."""
+    size = grid_size(count, FEWEST_MEMBERS) if count else 0
+    member = np.arange(size)
+    return np.where(member < count, member, 0)
+
+
+def _padded_group(group: Group) -> Group:
+    """A group padded with copies of its first member, whose weights are 0: their residuals are finite."""
+    count = group.values.shape[1]
+    member = _members(count)
+    used = np.arange(len(member)) < count
+    return Group(
+        group.kind,
+        on_device(on_host(group.indices)[:, member], np.int32),
+        on_device(on_host(group.values)[:, member]),
+        on_device(on_host(group.weights)[..., member] * used),
+        on_device(on_host(group.constants)[:, member]),
+    )
+
+
 def _observations(plan: EliminationPlan, block: Block) -> Observations:
     """All parts except the rays: groups, masks of free unknowns, and the image model."""
     o, structure, in_angles = plan.order, block.structure, corrected_in_angles(block.structure)
@@ -136,7 +159,7 @@ def _observations(plan: EliminationPlan, block: Block) -> Observations:
     groups = []
     for group in block.groups:
         touched = zip(group.structure.kind.touches, group.structure.indices.T, strict=True)
-        groups.append(group_arrays(group, np.stack([positions[kind][index] for kind, index in touched])))
+        groups.append(_padded_group(group_arrays(group, np.stack([positions[kind][index] for kind, index in touched]))))
     none = on_device(np.zeros(0, np.int32))
     interior_free = structure.interior_free.T[list(structure.interior_columns)]
     return Observations(
@@ -157,7 +180,7 @@ def _observations(plan: EliminationPlan, block: Block) -> Observations:
     )
 
 
-def _in_angles(in_angles: Bool[np.ndarray, " image"] | None, plan: EliminationPlan) -> Bool[Array, " image"] | None:
+def _in_angles(in_angles: Bool[np.ndarray, " image"] | None, plan: EliminationPlan) -> Bool[Array, " padded"] | None:
     if in_angles is None:
         return None
     return on_device(spread(in_angles[None], plan.order.image, plan.order.images, False)[0])
@@ -200,7 +223,7 @@ def _border_rays(plan: EliminationPlan, block: Block) -> BorderRays:
         on_device(plan.order.image[image], jnp.int32),
         on_device(np.where(used, plan.order.point[point] - plan.tile_points, 0), jnp.int32),
         on_device(on_host(block.rays.coordinates)[ray].T),
-        on_device(used / on_host(block.rays.sigmas)[ray].T),
+        on_device(used.astype(float)[None] / on_host(block.rays.sigmas)[ray].T),
     )
 
 

@@ -68,14 +68,14 @@ def _on_device(linear: Linearised) -> Inspection:
     return inspected(linear, reduced, factor, stored)
 
 
-def _eliminated(linear: Linearised) -> tuple[Reduced, Float[Array, "tile number"]]:
+def _eliminated(linear: Linearised) -> tuple[Reduced, Float[Array, "tile value"]]:
     """The reduced equations without damping, and the equations of the points of this device."""
     rays, stored = eliminate(linear, jnp.zeros(()))
     return reduced_system(linear.total(rays), linear), stored
 
 
 def inspected(
-    linear: Linearised, reduced: Reduced, factor: ReducedFactor, stored: Float[Array, "tile number"]
+    linear: Linearised, reduced: Reduced, factor: ReducedFactor, stored: Float[Array, "tile value"]
 ) -> Inspection:
     """The inspection from the results of an elimination; `stored`: equations of the points of this device."""
     points = point_equations(stored, linear.width)

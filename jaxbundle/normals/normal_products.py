@@ -87,7 +87,7 @@ def to_points(linear: Linearised, direction: Float[Array, "image number"]) -> Fl
 
 
 def reduced_product(
-    linear: Linearised, direction: Float[Array, "image number"], stored: Float[Array, "tile number"]
+    linear: Linearised, direction: Float[Array, "image number"], stored: Float[Array, "tile value"]
 ) -> Float[Array, "image number"]:
     """The product U t - W V^-1 W^T t of the rays of one device, for the values of the images.
 

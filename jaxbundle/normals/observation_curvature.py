@@ -84,7 +84,7 @@ def _curvature(residual: Residual, parameters: int, members: int) -> Float[Array
     none = jnp.zeros((parameters, members))
     constant = residual(none)
     gradient = jax.grad(lambda d: jnp.sum(constant * residual(d)))
-    units = jnp.eye(parameters)[:, :, None] * jnp.ones(members)
+    units = jnp.broadcast_to(jnp.eye(parameters)[:, :, None], (parameters, parameters, members))
     return jax.vmap(lambda unit: jax.jvp(gradient, (none,), (unit,))[1])(units)
 
 

@@ -41,7 +41,11 @@ def _add_by_class(blocks: Blocks, pairs: ClassPairs, coupling: Coupling, c: Arra
         def add(t: Array, blocks: Array) -> Array:
             # the factor must depend on the iteration, otherwise the product is moved out of the loop and done for all
             # classes
-            e = lax.dynamic_slice_in_dim(coupling, t * size, size, 0) if size < SLOTS else coupling * (1 + t)
+            e = (
+                lax.dynamic_slice_in_dim(coupling, t * size, size, 0)
+                if size < SLOTS
+                else coupling * (1 + t).astype(coupling.dtype)
+            )
             e = e.reshape(size * d, -1)
             block = lax.dynamic_slice_in_dim(pairs.pair, offset + t * size * size, size * size, 0)
             return blocks.at[block].add(_blocks(e, e, size, d), mode="promise_in_bounds")

@@ -31,7 +31,7 @@ class ImplicitEquations(NamedTuple):
 
     linear: Linearised
     system: ReducedSystem
-    stored: Float[Array, "tile number"]
+    stored: Float[Array, "tile value"]
     """The equations of the points of this device."""
     damping: Array
 

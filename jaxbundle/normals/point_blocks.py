@@ -38,7 +38,7 @@ class PointEquations(NamedTuple):
     diagonal: list[Array]
 
 
-def point_equations(stored: Float[Array, "tile number"], n: int) -> PointEquations:
+def point_equations(stored: Float[Array, "tile value"], n: int) -> PointEquations:
     """The equations of `n` points per tile from their stored rows."""
     number = [stored[:, k * n : (k + 1) * n] for k in range(STORED)]
     return PointEquations(PointFactor(*number[:6]), number[6:9], number[9:])

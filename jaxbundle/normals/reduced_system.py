@@ -80,7 +80,7 @@ def _scaled_pairs(solver: ReducedSolver, system: ReducedSystem, scale: Array, da
     scaled = _at_images(scale, i)[:, :, None] * system.pairs * _at_images(scale, j)[:, None, :]
     added = jnp.where((used & (i == j))[:, None], _at_images(jnp.where(system.free, damping, 1.0), i), 0.0)
     d = scale.shape[1]
-    return jnp.where(used[:, None, None], scaled, 0.0) + added[:, :, None] * jnp.eye(d)
+    return jnp.where(used[:, None, None], scaled, 0.0) + added[:, :, None] * jnp.eye(d)[None]
 
 
 def factorise(solver: ReducedSolver, system: ReducedSystem, damping: Float[Array, ""]) -> ReducedFactor:
@@ -88,10 +88,10 @@ def factorise(solver: ReducedSolver, system: ReducedSystem, damping: Float[Array
     scale = _scale(system.diagonal, system.free)
     border_scale = _scale(system.border_diagonal, system.border_free)
     factor = solver.images.factorise(_scaled_pairs(solver, system, scale, damping))
-    coupling = scale[:, :, None] * system.coupling * border_scale
+    coupling = scale[:, :, None] * system.coupling * border_scale[None, None]
     right = solver.images.forward(factor, jnp.concatenate([coupling, (scale * system.right)[..., None]], 2))
     y = right[..., :-1]
-    border = border_scale[:, None] * system.border * border_scale
+    border = border_scale[:, None] * system.border * border_scale[None]
     border = border + jnp.diag(jnp.where(system.border_free, damping, 1.0)) - jnp.einsum("idb,idc->bc", y, y)
     inverse = inverse_factor(border)
     return ReducedFactor(
@@ -140,8 +140,8 @@ def cofactors(solver: ReducedSolver, factor: ReducedFactor) -> ReducedCofactors:
     if border.size:
         x = solver.images.backward(factor.images, factor.coupling)
         z = z + jnp.einsum("pdb,peb->pde", _at_images(x @ border, i), _at_images(x, j))
-        coupling = -scale[..., None] * (x @ border) * factor.border_scale
+        coupling = -scale[..., None] * (x @ border) * factor.border_scale[None, None]
     else:
         coupling = factor.coupling
     pairs = _at_images(scale, i)[:, :, None] * z * _at_images(scale, j)[:, None, :]
-    return ReducedCofactors(pairs, coupling, factor.border_scale[:, None] * border * factor.border_scale)
+    return ReducedCofactors(pairs, coupling, factor.border_scale[:, None] * border * factor.border_scale[None])

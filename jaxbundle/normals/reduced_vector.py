@@ -24,7 +24,7 @@ def correction_of(x: ReducedVector, p: Problem, unknowns: OrderedUnknowns) -> Co
 def values_along(x: ReducedVector, linear: Linearised) -> Float[Array, "image number"]:
     """Change of the values of the images by a step."""
     correction = correction_of(x, linear.problem, linear.unknowns)
-    turned = jnp.sum(linear.d_rotation * correction.exterior[3:], 1)
+    turned = jnp.sum(linear.d_rotation * correction.exterior[None, 3:], 1)
     moved = Unknowns(turned, correction.exterior[:3], correction.interior, correction.parameters, correction.points)
     return image_table(moved, None, linear.problem.observations)
 

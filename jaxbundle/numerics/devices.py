@@ -40,6 +40,18 @@ def dealt(value: Any, devices: int, axis: int = 0) -> Array:
     return put(value, NamedSharding(device_mesh(devices), PartitionSpec(*[None] * axis, AXIS)))
 
 
+def copied(tree: Any, devices: int) -> Any:
+    """Traced arrays, whole on each device.
+
+    XLA distributes a computation that is not written for several devices by itself, and pads what it deals: transposed
+    derivatives of its padded parts were not finite (jaxlib 0.10.2).
+    """
+    if devices == 1:
+        return tree
+    whole = NamedSharding(device_mesh(devices), PartitionSpec())
+    return jax.tree.map(lambda x: jax.lax.with_sharding_constraint(x, whole), tree)
+
+
 def meet() -> None:
     """Waits for all processes.
 

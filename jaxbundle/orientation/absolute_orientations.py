@@ -8,11 +8,12 @@ import equinox as eqx
 import jax
 import jax.numpy as jnp
 import numpy as np
-from jaxtyping import Array, ArrayLike, Bool, Float
+from jaxtyping import Array, ArrayLike, Bool, Float, Real
 
 from jaxbundle.geometry.rotation import OMEGA_PHI_KAPPA, RotationSystem
 from jaxbundle.geometry.similarity import Similarity, similarity
 from jaxbundle.numerics.host import is_concrete
+from jaxbundle.numerics.nested import Nested
 from jaxbundle.numerics.program_cache import prepare_jax
 from jaxbundle.orientation.fitted_similarity import Control, Fit, all_fits, changed, residuals
 
@@ -86,12 +87,12 @@ class AbsoluteOrientation(eqx.Module):
 
 
 def absolute_orientation(
-    model_points: Float[ArrayLike, "point 3"],
-    object_points: Float[ArrayLike, "point 3"],
-    sigmas: Float[ArrayLike, "..."] = 1.0,
+    model_points: Real[ArrayLike, "point 3"] | Nested,
+    object_points: Real[ArrayLike, "point 3"] | Nested,
+    sigmas: Real[ArrayLike, "..."] | Nested = 1.0,
     *,
-    model_sigmas: Float[ArrayLike, "..."] = 0.0,
-    projection_centres: Float[ArrayLike, "image 3"] | None = None,
+    model_sigmas: Real[ArrayLike, "..."] | Nested = 0.0,
+    projection_centres: Real[ArrayLike, "image 3"] | Nested | None = None,
     system: RotationSystem = OMEGA_PHI_KAPPA,
 ) -> AbsoluteOrientation:
     """The similarity from a model to the object system, by least squares with weights on both sides.
@@ -129,7 +130,7 @@ def absolute_orientation(
     count = np.shape(model_points)[0]
     x, o = jnp.asarray(model_points, float), jnp.asarray(object_points, float)
     s, m = jnp.broadcast_to(jnp.asarray(sigmas, float), (count, 3)), jnp.asarray(model_sigmas, float)
-    covariance = m if m.ndim == 3 else jnp.broadcast_to(m, (count, 3))[:, :, None] ** 2 * jnp.eye(3)
+    covariance = m if m.ndim == 3 else jnp.broadcast_to(m, (count, 3))[:, :, None] ** 2 * jnp.eye(3)[None]
     centres = jnp.full((1, 3), jnp.nan) if projection_centres is None else jnp.asarray(projection_centres, float)
     if is_concrete((x, o, s, m)):
         _require_values(np.asarray(x), np.asarray(o), np.asarray(s), np.asarray(covariance))
@@ -162,12 +163,15 @@ def _orientation(
 ) -> AbsoluteOrientation:
     c, centred = _normalised(x, o, s, covariance)
     full = c.observed.all(1)
-    closed = similarity(c.model, c.object_points, full / jnp.sum(jnp.where(c.observed, s, 0.0) ** 2 + 1e-300, 1))
+    closed = similarity(
+        c.model, c.object_points, full.astype(float) / jnp.sum(jnp.where(c.observed, s, 0.0) ** 2 + 1e-300, 1)
+    )
     enough = jnp.sum(full) >= 3
     first = jax.tree.map(lambda value: jnp.where(enough, value, jnp.nan), closed.similarity)
     fits, cost, distinct = _distinct(all_fits(first, c))
     redundancy = jnp.sum(c.observed) - 7
-    variance = jnp.where(redundancy > 0, cost[0] / jnp.maximum(redundancy, 1), 0.0)
+    divisor = jnp.maximum(redundancy, 1).astype(float)
+    variance = jnp.where(redundancy > 0, cost[0] / divisor, 0.0)
     weighted = jnp.where(c.observed, c.object_points, 0.0) / jnp.sqrt(
         jnp.diagonal(c.object_covariance + c.model_covariance, axis1=1, axis2=2)
     )
@@ -178,14 +182,14 @@ def _orientation(
     determined, cofactors, at, angles = _precision(fit, system, centred)
     solutions = jax.vmap(centred.back)(fits.similarity)
     solutions = jax.tree.map(lambda v: jnp.where(distinct.reshape(-1, *[1] * (v.ndim - 1)), v, jnp.nan), solutions)
-    extents = jnp.linalg.svd(c.model - c.model.mean(0), compute_uv=False)
+    extents = jnp.linalg.svd(c.model - c.model.mean(0, keepdims=True), compute_uv=False)
     d = closed.singular_values
     return AbsoluteOrientation(
         at,
         angles,
         cofactors,
         residuals(fit.similarity, c) * centred.object_size,
-        jnp.where(redundancy > 0, jnp.sqrt(fit.cost / jnp.maximum(redundancy, 1)), jnp.nan),
+        jnp.where(redundancy > 0, jnp.sqrt(fit.cost / divisor), jnp.nan),
         redundancy,
         solutions,
         jnp.where(distinct, cost, jnp.nan),
@@ -207,7 +211,7 @@ class _Centred(eqx.Module):
 
     def model(self, points: Float[Array, "point 3"]) -> Float[Array, "point 3"]:
         """Model coordinates relative to their centre."""
-        return (points - self.model_origin) / self.model_size
+        return (points - self.model_origin[None]) / self.model_size
 
     def back(self, at: Similarity) -> Similarity:
         """The similarity between the original systems."""
@@ -218,12 +222,12 @@ class _Centred(eqx.Module):
 
 def _normalised(x: Array, o: Array, s: Array, covariance: Array) -> tuple[Control, _Centred]:
     observed = jnp.isfinite(o)
-    origin = jnp.sum(jnp.where(observed, o, 0.0), 0) / jnp.maximum(jnp.sum(observed, 0), 1)
-    reduced = jnp.where(observed, o - origin, 0.0)
-    size, centre = jnp.sqrt(jnp.sum(reduced**2) / jnp.sum(observed)), x.mean(0)
-    model_size = jnp.sqrt(jnp.mean((x - centre) ** 2))
+    origin = jnp.sum(jnp.where(observed, o, 0.0), 0) / jnp.maximum(jnp.sum(observed, 0), 1).astype(float)
+    reduced = jnp.where(observed, o - origin[None], 0.0)
+    size, centre = jnp.sqrt(jnp.sum(reduced**2) / jnp.sum(observed).astype(float)), x.mean(0)
+    model_size = jnp.sqrt(jnp.mean((x - centre[None]) ** 2))
     centred = _Centred(centre, model_size, origin, size)
-    variances = jnp.where(observed, s, 1.0)[:, :, None] ** 2 * jnp.eye(3)
+    variances = jnp.where(observed, s, 1.0)[:, :, None] ** 2 * jnp.eye(3)[None]
     return Control(centred.model(x), reduced / size, observed, covariance / model_size**2, variances / size**2), centred
 
 
@@ -253,9 +257,9 @@ def _chosen(at: Similarity, possible: Bool[Array, "4"], points: Array, centres: 
 def _precision(fit: Fit, system: RotationSystem, centred: _Centred) -> tuple[Array, Array, Similarity, Array]:
     """Whether all elements are determined; cofactors of the seven elements; these elements."""
     scale = 1 / jnp.sqrt(jnp.diagonal(fit.normals))
-    values, vectors = jnp.linalg.eigh(fit.normals * scale[:, None] * scale)
+    values, vectors = jnp.linalg.eigh(fit.normals * scale[:, None] * scale[None])
     determined = values[0] > UNDETERMINED * values[-1]
-    factor = scale[:, None] * vectors / jnp.sqrt(jnp.where(determined, values, jnp.nan))
+    factor = scale[:, None] * vectors / jnp.sqrt(jnp.where(determined, values, jnp.nan))[None]
 
     def elements(d: Array) -> tuple[Array, Similarity]:
         at = centred.back(changed(fit.similarity, d))

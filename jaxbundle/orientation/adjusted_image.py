@@ -100,7 +100,7 @@ def _in_parts(of_images: Callable[..., AdjustedImage], size: int, data: tuple[Me
     return jax.tree.map(lambda x: x.reshape(parts * length)[:size] if x.ndim == 2 else _points_behind(x, size), done)
 
 
-def _points_behind(x: Float[Array, "part point image"], size: int) -> Float[Array, "image point"]:
+def _points_behind(x: Float[Array, "part point own"], size: int) -> Float[Array, "image point"]:
     return x.transpose(0, 2, 1).reshape(-1, x.shape[1])[:size]
 
 

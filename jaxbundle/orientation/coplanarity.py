@@ -142,4 +142,4 @@ def model_points(at: Pair, rays: Rays) -> Float[Array, "point 3"]:
     squared = jnp.where(squared > TINY, squared, jnp.nan)
     one = jnp.sum(jnp.cross(at.base, turned) * normal, 1) / squared
     two = jnp.sum(jnp.cross(at.base, first) * normal, 1) / squared
-    return 0.5 * (one[:, None] * first + at.base + two[:, None] * turned)
+    return 0.5 * (one[:, None] * first + at.base[None] + two[:, None] * turned)

@@ -14,10 +14,11 @@ import equinox as eqx
 import jax
 import jax.numpy as jnp
 import numpy as np
-from jaxtyping import Array, ArrayLike, Bool, Float
+from jaxtyping import Array, ArrayLike, Bool, Float, Real
 
 from jaxbundle.geometry.rotation import OMEGA_PHI_KAPPA, RotationSystem, from_rotation_vector
 from jaxbundle.numerics.host import is_concrete
+from jaxbundle.numerics.nested import Nested
 from jaxbundle.numerics.program_cache import prepare_jax
 
 MIN_POINTS = 6  # eleven unknowns, two equations per point
@@ -89,8 +90,8 @@ class _Elements(NamedTuple):
 
 
 def direct_linear_transformation(
-    object_points: Float[ArrayLike, "point 3"],
-    coordinates: Float[ArrayLike, "point 2"],
+    object_points: Real[ArrayLike, "point 3"] | Nested,
+    coordinates: Real[ArrayLike, "point 2"] | Nested,
     sigma: float = 1.0,
     *,
     system: RotationSystem = OMEGA_PHI_KAPPA,
@@ -141,7 +142,7 @@ def _transformation(system: RotationSystem, points: Array, xy: Array, sigma: Arr
     # back to the units of the user: the interior grows with the image, the centre with the object
     factor = jnp.concatenate([jnp.full(5, scale), jnp.full(3, size), jnp.ones(3)])
     redundancy = 2 * points.shape[0] - 11
-    cofactors = jnp.linalg.inv(normals) * factor[:, None] * factor * (sigma / scale) ** 2
+    cofactors = jnp.linalg.inv(normals) * factor[:, None] * factor[None] * (sigma / scale) ** 2
     c, c2, s, x0, y0 = at.interior
     residuals = v.reshape(-1, 2) * scale
     sigma0 = jnp.sqrt(jnp.sum((residuals / sigma) ** 2) / redundancy) if redundancy else jnp.asarray(jnp.nan)
@@ -164,8 +165,8 @@ def _transformation(system: RotationSystem, points: Array, xy: Array, sigma: Arr
 def _normalised(values: Array) -> tuple[Array, Array, Array]:
     """Values relative to their mean with a mean square of 1 in each coordinate, the mean and the scale."""
     mean = values.mean(0)
-    size = jnp.sqrt(jnp.mean((values - mean) ** 2))
-    return (values - mean) / size, mean, size
+    size = jnp.sqrt(jnp.mean((values - mean[None]) ** 2))
+    return (values - mean[None]) / size, mean, size
 
 
 def _linear(x: Array, m: Array) -> tuple[Float[Array, "3 4"], Bool[Array, ""]]:
@@ -183,8 +184,8 @@ def _taken_apart(p: Float[Array, "3 4"], x: Array) -> tuple[_Elements, Bool[Arra
     q, r = jnp.linalg.qr(p[::-1, :3].T)
     k, rotation = r.T[::-1, ::-1], q.T[::-1]
     signs = jnp.stack([-jnp.sign(k[0, 0]), -jnp.sign(k[1, 1]), jnp.sign(k[2, 2])])
-    k, rotation = k * signs, signs[:, None] * rotation  # rows: R^T
-    front = jnp.sum((x - centre) @ rotation[2] < 0) * 2 >= x.shape[0]
+    k, rotation = k * signs[None], signs[:, None] * rotation  # rows: R^T
+    front = jnp.sum((x - centre[None]) @ rotation[2] < 0) * 2 >= x.shape[0]
     turn = jnp.where(front, 1.0, -1.0)
     # P and -P are equivalent: the third axis and, to preserve K, the others change their sign
     rotation = turn * rotation
@@ -205,7 +206,7 @@ def _correction(at: _Elements, x: Array, m: Array) -> tuple[Array, Array, Array]
     def residuals(d: Array) -> Array:
         e = _changed(at, d)
         c, c2, s, x0, y0 = e.interior
-        p = (x - e.centre) @ e.rotation
+        p = (x - e.centre[None]) @ e.rotation
         u, v = p[:, 0] / p[:, 2], p[:, 1] / p[:, 2]
         return (jnp.stack([x0 - c * u + s * v, y0 - c2 * v], 1) - m).ravel()
 

@@ -81,13 +81,13 @@ def weighted_residuals(at: Similarity, c: Control) -> Float[Array, "point 3"]:
 
 def start(rotation: Float[Array, "3 3"], c: Control) -> Similarity:
     """Scale from the extents of all observed coordinates, translation from their means."""
-    turned, number = c.model @ rotation.T, jnp.maximum(jnp.sum(c.observed, 0), 1)
+    turned, number = c.model @ rotation.T, jnp.maximum(jnp.sum(c.observed, 0), 1).astype(float)
 
     def mean(x: Array) -> Array:
         return jnp.sum(jnp.where(c.observed, x, 0.0), 0) / number
 
     def extent(x: Array) -> Array:
-        return jnp.sum(jnp.where(c.observed, x - mean(x), 0.0)[:, :2] ** 2)
+        return jnp.sum(jnp.where(c.observed, x - mean(x)[None], 0.0)[:, :2] ** 2)
 
     scale = jnp.sqrt(extent(c.object_points) / jnp.maximum(extent(turned), 1e-6 * extent(c.object_points)))
     return Similarity(scale, rotation, mean(c.object_points - scale * turned))

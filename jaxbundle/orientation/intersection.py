@@ -85,7 +85,7 @@ def closest_to_rays(
     solution = xp.stack(
         [c_xx * u + c_xy * v + c_xz * w, c_xy * u + c_yy * v + c_yz * w, c_xz * u + c_yz * v + c_zz * w]
     )
-    return solution * scale + origin
+    return solution * scale[None] + origin
 
 
 def _summed(row: Any, ray_point: Int[np.ndarray, " ray"], points: int) -> Any:

@@ -52,8 +52,8 @@ def essential_matrices(
         larger = jnp.abs(other[2]) > jnp.abs(w)
         x, y, w = (jnp.where(larger, b, a) for a, b in zip((x, y, w), other, strict=True))
     x, y, z, one = x, y, z * w, w
-    e = x * basis[0][:, None] + y * basis[1][:, None] + z * basis[2][:, None] + one * basis[3][:, None]
-    e = e * jnp.sqrt(2 / jnp.maximum(jnp.sum(e * e, 0), TINY))
+    e = _added([jnp.asarray(factor)[None] * basis[k][:, None] for k, factor in enumerate((x, y, z, one))])
+    e = e * jnp.sqrt(2 / jnp.maximum(jnp.sum(e * e, 0, keepdims=True), TINY))
     return e, exists & jnp.isfinite(e).all(0)
 
 
@@ -66,9 +66,9 @@ def _null_space(rows: Float[Array, "5 9 sample"], zero: Int[Array, ""]) -> Float
     for k in range(4):
         v = vectors[k]
         for other in done:
-            v = v - _inner(v, other) * other
+            v = v - _inner(v, other)[None] * other
         v = stored(v, zero)
-        done.append(stored(v / jnp.sqrt(jnp.maximum(_inner(v, v), TINY)), zero))
+        done.append(stored(v / jnp.sqrt(jnp.maximum(_inner(v, v), TINY))[None], zero))
     return jnp.stack(done)
 
 
@@ -97,9 +97,10 @@ def _eliminated(a: Float[Array, "n m sample"], zero: Int[Array, ""]) -> Float[Ar
         pivot, divisor = a[0], column[0]
         for i in range(1, rows):
             pivot, divisor = jnp.where(at == i, a[i], pivot), jnp.where(at == i, column[i], divisor)
-        pivot = stored(pivot / jnp.where(divisor == 0, TINY, divisor), zero)
-        factor = jnp.where(number == at, column[k], column)
-        rest = jnp.where((number == at)[:, None], a[k], a) - factor[:, None] * pivot
+        pivot = stored(pivot / jnp.where(divisor == 0, TINY, divisor)[None], zero)
+        chosen = number == at[None]
+        factor = jnp.where(chosen, column[k], column)
+        rest = jnp.where(chosen[:, None], a[k], a) - factor[:, None] * pivot[None]
         return jnp.where((number == k)[:, None], pivot, rest)
 
     return lax.fori_loop(0, rows, step, a)[:, rows:]
@@ -134,7 +135,7 @@ def _row(with_z: Float[Array, "10 sample"], without: Float[Array, "10 sample"]) 
 
 def _product(a: Float[Array, "m sample"], b: Float[Array, "n sample"]) -> Float[Array, "k sample"]:
     m = a.shape[0]
-    return _added([jnp.pad(a[i] * b, ((i, m - 1 - i), (0, 0))) for i in range(m)])
+    return _added([jnp.pad(a[i, None] * b, ((i, m - 1 - i), (0, 0))) for i in range(m)])
 
 
 def _determinant(m: list[tuple[Array, Array, Array]]) -> Float[Array, "11 sample"]:
@@ -163,7 +164,7 @@ def _roots(c: Float[Array, "11 sample"], zero: Int[Array, ""]) -> tuple[Array, A
         s, t = low[0] + u * (high[0] - low[0]), low[1] + u * (high[1] - low[1])
         total, power = jnp.broadcast_to(c[10], s.shape), t
         for k in range(9, -1, -1):
-            total = total * s + c[k] * power
+            total = total * s + c[None, k] * power
             power = power * t
         return total
 
@@ -183,7 +184,7 @@ def _roots(c: Float[Array, "11 sample"], zero: Int[Array, ""]) -> tuple[Array, A
 def _value(c: Float[Array, "k sample"], z: Float[Array, "root sample"]) -> Float[Array, "root sample"]:
     total = jnp.zeros_like(z)
     for k in range(c.shape[0] - 1, -1, -1):
-        total = total * z + c[k]
+        total = total * z + c[None, k]
     return total
 
 

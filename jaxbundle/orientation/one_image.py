@@ -99,14 +99,14 @@ def corrected(at: Orientation, d: list[Scalar]) -> Orientation:
 def residuals(model: CameraModel, at: Orientation, m: Measured) -> Residual:
     """Residuals of all points, unit of the rays."""
     x, y, z = m.points
-    p = photo_vector(at.rotation, at.centre, (x, y, z))
+    p = photo_vector(*_on_images(at), (x, y, z))
     return model.residual(_on_points(m.interior, p[0]), p, (m.coordinates[0], m.coordinates[1]))
 
 
 def equations(model: CameraModel, at: Orientation, m: Measured) -> Equations:
     """The normal equations of an orientation."""
     x, y, z = m.points
-    p = stored(photo_vector(at.rotation, at.centre, (x, y, z)), m.zero)
+    p = stored(photo_vector(*_on_images(at), (x, y, z)), m.zero)
     interior, measured = _on_points(m.interior, p[0]), (m.coordinates[0], m.coordinates[1])
 
     def residual(x: Scalar, y: Scalar, z: Scalar, a: Scalar, b: Scalar, c: Scalar) -> Residual:
@@ -124,6 +124,11 @@ def equations(model: CameraModel, at: Orientation, m: Measured) -> Equations:
         [jnp.sum(a * vx + b * vy, 0) for a, b in zip(ax, ay, strict=True)],
         0.5 * jnp.sum(vx * vx + vy * vy, 0),
     )
+
+
+def _on_images(at: Orientation) -> Orientation:
+    """The orientation with a leading axis of length 1 for the points."""
+    return jax.tree.map(lambda x: jnp.expand_dims(x, 0), at)
 
 
 def _on_points(interior: Array, like: Scalar) -> tuple[Array, ...]:
@@ -165,7 +170,7 @@ def _next_step(model: CameraModel, m: Measured, noise: Array, s: State) -> State
         jax.tree.map(partial(jnp.where, running), corrected(at, d), s.trial),
         jnp.where(running, damping, s.damping),
         jnp.where(running, status, s.status),
-        s.trials + running,
+        s.trials + running.astype(s.trials.dtype),
     )
 
 
@@ -191,7 +196,7 @@ def solved(model: CameraModel, m: Measured, start: Orientation, most: int) -> So
     last = steps(m, noise, last, most)
     status = jnp.where(last.status == RUNNING, int(Status.MAXIMUM_ITERATIONS), last.status)
     at, (x, y, z) = last.trial, m.points  # the last step, which is too short for a trial, is also applied
-    depth = photo_vector(at.rotation, at.centre, (x, y, z))[2]
+    depth = photo_vector(*_on_images(at), (x, y, z))[2]
     behind = jnp.any((depth >= 0) & (m.weights[0] > 0), 0)
     status = jnp.where((status == Status.CONVERGED) & behind, int(Status.DIVERGED), status)
     return Solution(at, last.equations, status, last.trials)

@@ -57,12 +57,13 @@ class Ray(NamedTuple):
     first: Vector
     second: Vector
     variance: Scalar
-    valid: Bool[Array, " pair"]
+    valid: Bool[Array, "1 pair"]
 
 
 def _ray(rays: PairRays, k: Int[Array, ""] | int) -> Ray:
-    first, second = (tuple(d[:, k]) for d in (rays.first, rays.second))
-    return Ray((first[0], first[1], first[2]), (second[0], second[1], second[2]), rays.variance[k], rays.valid[k])
+    first, second = (tuple(d[:, None, k]) for d in (rays.first, rays.second))
+    variance, valid = rays.variance[None, k], rays.valid[None, k]
+    return Ray((first[0], first[1], first[2]), (second[0], second[1], second[2]), variance, valid)
 
 
 def _summed(cost: Callable[[Ray], Scalar], rays: PairRays, like: Scalar) -> Array:

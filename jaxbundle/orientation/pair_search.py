@@ -56,7 +56,7 @@ def cost(at: Pair, rays: Rays) -> Float[Array, ""]:
     r = parallaxes(at, rays)
     fits = rays.valid & (jnp.abs(r) < REJECTED)
     behind = sides(at, rays)[1] & fits
-    total = _msac(r * r, rays.valid) + BEHIND * jnp.sum(behind)
+    total = _msac(r * r, rays.valid) + BEHIND * jnp.sum(behind).astype(float)
     finite = jnp.isfinite(at.rotation).all() & jnp.isfinite(at.base).all()
     return jnp.where(finite & jnp.isfinite(total), total, jnp.inf)
 
@@ -88,8 +88,8 @@ def search(rays: Rays, key: Array, samples: int) -> Found:
     pairs = jax.vmap(lambda at: refined(_finite(at), rays, CAUCHY, REFINING_STEPS)[0])(pairs)
     costs = jax.vmap(lambda at: cost(at, rays))(pairs)
     best = jnp.argmin(costs)
-    apart = jnp.sum(jnp.abs(pairs.rotation - pairs.rotation[best]), (1, 2))
-    apart += jnp.sum(jnp.abs(pairs.base - pairs.base[best]), 1)
+    apart = jnp.sum(jnp.abs(pairs.rotation - pairs.rotation[None, best]), (1, 2))
+    apart += jnp.sum(jnp.abs(pairs.base - pairs.base[None, best]), 1)
     others = jnp.where(apart > DISTINCT, costs, jnp.inf)
     both = jnp.stack([best, jnp.argmin(others)])
     return Found(jax.tree.map(lambda x: x[both], pairs), jnp.stack([costs[best], jnp.min(others)]))

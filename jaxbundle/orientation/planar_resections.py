@@ -15,11 +15,12 @@ import equinox as eqx
 import jax
 import jax.numpy as jnp
 import numpy as np
-from jaxtyping import Array, ArrayLike, Float
+from jaxtyping import Array, ArrayLike, Float, Real
 
 from jaxbundle.camera.direction import direction
 from jaxbundle.camera.model import CameraModel
 from jaxbundle.geometry.rotation import OMEGA_PHI_KAPPA, RotationSystem
+from jaxbundle.numerics.nested import Nested
 from jaxbundle.numerics.program_cache import prepare_jax
 from jaxbundle.orientation.resections import Resection, resection
 from jaxbundle.solve.status import Status
@@ -66,10 +67,10 @@ class PlanarResection(eqx.Module):
 
 def planar_resection(
     model: CameraModel,
-    interior: Float[ArrayLike, " element"],
-    object_points: Float[ArrayLike, "point 3"],
-    coordinates: Float[ArrayLike, "point 2"],
-    sigmas: Float[ArrayLike, "..."] = 1.0,
+    interior: Real[ArrayLike, " element"] | Nested,
+    object_points: Real[ArrayLike, "point 3"] | Nested,
+    coordinates: Real[ArrayLike, "point 2"] | Nested,
+    sigmas: Real[ArrayLike, "..."] | Nested = 1.0,
     *,
     system: RotationSystem = OMEGA_PHI_KAPPA,
 ) -> PlanarResection:

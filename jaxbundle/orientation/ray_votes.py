@@ -19,7 +19,7 @@ def votes(
     `common`, `pairs`: the same pairs; `second`: mask of the pairs whose second orientation is correct.
     """
     fits, total = (np.zeros(len(directions.image), int) for _ in range(2))
-    lengths = np.array([len(rays) for rays in common.rays])
+    lengths = np.array([len(rays) for rays in common.rays], int)
     every = np.arange(len(lengths))
     rotation = pairs.rotation[every, second.astype(int)].reshape(-1, 9).T
     base, vector = pairs.base[every, second.astype(int)].T, np.ascontiguousarray(directions.vector.T)

@@ -6,20 +6,21 @@
 The third component of the base (dependent) or its length (independent) is the given scale of the model.
 """
 
-from typing import Any, Literal
+from typing import Any, Literal, NamedTuple
 
 import equinox as eqx
 import jax
 import jax.numpy as jnp
 import numpy as np
 from jax import lax
-from jaxtyping import Array, ArrayLike, Bool, Float
+from jaxtyping import Array, ArrayLike, Bool, Float, Real
 
 from jaxbundle.camera.direction import direction
 from jaxbundle.camera.model import CameraModel
 from jaxbundle.geometry.rotation import from_omega_phi_kappa, to_omega_phi_kappa
 from jaxbundle.numerics.compilation import Compiled
 from jaxbundle.numerics.host import is_concrete
+from jaxbundle.numerics.nested import Nested
 from jaxbundle.numerics.program_cache import prepare_jax
 from jaxbundle.orientation import coplanarity
 from jaxbundle.orientation.coplanarity import REJECTED, Pair, Rays
@@ -123,12 +124,12 @@ class RelativeOrientation(eqx.Module):
 
 def relative_orientation(
     model: CameraModel,
-    interior: Float[ArrayLike, " element"],
-    first: Float[ArrayLike, "point 2"],
-    second: Float[ArrayLike, "point 2"],
-    sigmas: Float[ArrayLike, "..."] = 1.0,
+    interior: Real[ArrayLike, " element"] | Nested,
+    first: Real[ArrayLike, "point 2"] | Nested,
+    second: Real[ArrayLike, "point 2"] | Nested,
+    sigmas: Real[ArrayLike, "..."] | Nested = 1.0,
     *,
-    second_camera: tuple[CameraModel, Float[ArrayLike, " element"]] | None = None,
+    second_camera: tuple[CameraModel, Real[ArrayLike, " element"] | Nested] | None = None,
     convention: Convention = "dependent",
     base: float = 1.0,
     robust: bool = True,
@@ -189,14 +190,27 @@ def relative_orientation(
             raise ValueError("a sigma is not positive; give a positive standard deviation, infinite to exclude a point")
     interiors = tuple(jnp.asarray(elements, float) for _, elements in cameras)
     number = 1 if count == 5 else samples
-    options = (cameras[0][0], cameras[1][0]), convention, robust, number
-    given = interiors, (xy, xy2, s), jnp.asarray(base, float), jnp.asarray(seed)
-    return _orientation(options, *given, optimised=False)
+    options = (cameras[0][0], cameras[1][0]), robust, number
+    oriented = _oriented(options, interiors, (xy, xy2, s), jnp.asarray(seed), optimised=False)
+    return _answer(convention, oriented, s, jnp.asarray(base, float), optimised=False)
+
+
+class Oriented(NamedTuple):
+    """The orientation before its elements are named: the same for both conventions."""
+
+    rays: Rays
+    start: Pair
+    at: Pair
+    used: Bool[Array, " point"]
+    found: Found
+    size: Float[Array, ""]
+    """The last step [rad]."""
 
 
 @Compiled
-def _orientation(options: Any, interiors: Any, given: Any, base: Array, seed: Array) -> RelativeOrientation:
-    models, convention, robust, samples = options
+def _oriented(options: Any, interiors: Any, given: Any, seed: Array) -> Oriented:
+    """The orientation by samples of five points, and by least squares."""
+    models, robust, samples = options
     first, second, s = given
     valid = jnp.isfinite(s).all(1)
     one, two = (_photo_vectors(m, i, x, s, valid) for m, i, x in zip(models, interiors, (first, second), strict=True))
@@ -212,7 +226,7 @@ def _orientation(options: Any, interiors: Any, given: Any, base: Array, seed: Ar
         at = lax.fori_loop(0, SELECTIONS, selected, at)
         used = _fitting(at, rays)
     at, size = coplanarity.refined(at, rays, coplanarity.squares(used), FINAL_STEPS)
-    return _answer(convention, rays, (start, at), used, (found, size, base, s))
+    return Oriented(rays, start, at, used, found, size)
 
 
 def _fitting(at: Pair, rays: Rays) -> Bool[Array, " point"]:
@@ -249,15 +263,16 @@ def _named(convention: str, at: Pair, fixed: Array, base: Array) -> tuple[Array,
     return jnp.stack([phi, kappa, *angles]), turn, base, second
 
 
-def _answer(convention: str, rays: Rays, pairs: tuple[Pair, Pair], used: Array, rest: tuple) -> RelativeOrientation:
-    (start, at), (found, size, base, s) = pairs, rest
-    found: Found
+@Compiled
+def _answer(convention: str, oriented: Oriented, s: Float[Array, "point 2"], base: Array) -> RelativeOrientation:
+    """The elements of a convention, their precision, and the model."""
+    rays, start, at, used, found, size = oriented
     fixed = jnp.argmax(jnp.abs(at.base))
     cost, normals, _, _ = coplanarity.normal_equations(at, rays, coplanarity.squares(used))
     scale = 1 / jnp.sqrt(jnp.diagonal(normals))
-    values, vectors = jnp.linalg.eigh(normals * scale[:, None] * scale)
+    values, vectors = jnp.linalg.eigh(normals * scale[:, None] * scale[None])
     determined = values[0] > UNDETERMINED * values[-1]
-    factor = scale[:, None] * vectors / jnp.sqrt(jnp.where(determined, values, jnp.nan))
+    factor = scale[:, None] * vectors / jnp.sqrt(jnp.where(determined, values, jnp.nan))[None]
 
     def points(d: Array, planes: Array) -> Array:
         moved = coplanarity.changed(at, d)
@@ -294,7 +309,7 @@ def _answer(convention: str, rays: Rays, pairs: tuple[Pair, Pair], used: Array, 
         coplanarity.parallaxes(start, rays) * units,
         used,
         front & rays.valid,
-        jnp.where(redundancy > 0, jnp.sqrt(cost / jnp.maximum(redundancy, 1)), jnp.nan),
+        jnp.where(redundancy > 0, jnp.sqrt(cost / jnp.maximum(redundancy, 1).astype(float)), jnp.nan),
         redundancy,
         determined & (size < SETTLED),
         _is_parallel(at, rays, used),

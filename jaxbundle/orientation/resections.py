@@ -13,12 +13,13 @@ import jax
 import jax.numpy as jnp
 import numpy as np
 from jax import lax
-from jaxtyping import Array, ArrayLike, Bool, Float, Int
+from jaxtyping import Array, ArrayLike, Bool, Float, Int, Real
 
 from jaxbundle.camera.model import CameraModel
 from jaxbundle.geometry.rotation import OMEGA_PHI_KAPPA, RotationSystem
 from jaxbundle.numerics.compilation import Compiled
 from jaxbundle.numerics.host import is_concrete
+from jaxbundle.numerics.nested import Nested
 from jaxbundle.numerics.program_cache import prepare_jax
 from jaxbundle.orientation.adjusted_image import Start, adjusted_image
 from jaxbundle.orientation.one_image import Measured
@@ -78,12 +79,12 @@ class Resection(eqx.Module):
 
 def resection(
     model: CameraModel,
-    interior: Float[ArrayLike, " element"],
-    object_points: Float[ArrayLike, "point 3"],
-    coordinates: Float[ArrayLike, "point 2"],
-    sigmas: Float[ArrayLike, "point 2"] | Float[ArrayLike, ""] = 1.0,
+    interior: Real[ArrayLike, " element"] | Nested,
+    object_points: Real[ArrayLike, "point 3"] | Nested,
+    coordinates: Real[ArrayLike, "point 2"] | Nested,
+    sigmas: Real[ArrayLike, "point 2"] | Real[ArrayLike, ""] | Nested = 1.0,
     *,
-    start: tuple[Float[ArrayLike, "3"], Float[ArrayLike, "3"]] | None = None,
+    start: tuple[Real[ArrayLike, "3"] | Nested, Real[ArrayLike, "3"] | Nested] | None = None,
     system: RotationSystem = OMEGA_PHI_KAPPA,
     max_iterations: int = 50,
 ) -> Resection:
@@ -171,19 +172,19 @@ def _resection(
     def of_used(values: Array) -> Array:
         """Replaces the values of unused points, which may be arbitrary, by the mean of the others."""
         values = jnp.where(used[:, None], values, 0.0)
-        return jnp.where(used[:, None], values, values.sum(0) / count)
+        return jnp.where(used[:, None], values, values.sum(0, keepdims=True) / count.astype(float))
 
     points = of_used(points)
     origin = lax.stop_gradient(points.mean(0))  # large coordinates lose digits
     weights = jnp.where(used[:, None], 1 / sigmas, 0.0)
-    m = Measured(interior, (points - origin).T, of_used(coordinates).T, weights.T)
+    m = Measured(interior, (points - origin[None]).T, of_used(coordinates).T, weights.T)
     place = None if start is None else Start(_three(start[0] - origin), _three(start[1]))
     a = adjusted_image(model, system, most, m, place)
     centre, angles, cofactors, v = (jnp.array(x) for x in (a.at.centre, a.angles, a.cofactors, a.residuals))
     converged = (a.status == int(Status.CONVERGED)) & (count >= (4 if start is None else 3))
     status = jnp.where(converged | (a.status != int(Status.CONVERGED)), a.status, int(Status.SINGULAR))
     redundancy = 2 * count - UNKNOWNS
-    variance = jnp.sum((v.T * weights) ** 2) / jnp.where(redundancy > 0, redundancy, 1)
+    variance = jnp.sum((v.T * weights) ** 2) / jnp.where(redundancy > 0, redundancy, 1).astype(float)
     sigma0 = jnp.where(redundancy > 0, jnp.sqrt(variance), jnp.nan)
     found = Resection(centre + origin, angles, cofactors, v.T, sigma0, redundancy, status, a.steps)
     return jax.tree.map(

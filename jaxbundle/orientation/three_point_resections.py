@@ -4,9 +4,10 @@ import equinox as eqx
 import jax
 import jax.numpy as jnp
 import numpy as np
-from jaxtyping import Array, ArrayLike, Bool, Float
+from jaxtyping import Array, ArrayLike, Bool, Float, Real
 
 from jaxbundle.geometry.vectors import Vector
+from jaxbundle.numerics.nested import Nested
 from jaxbundle.numerics.program_cache import prepare_jax
 from jaxbundle.orientation.three_points import Triple, three_point_solutions
 
@@ -57,7 +58,7 @@ class ThreePointResection(eqx.Module):
 
 
 def three_point_resection(
-    object_points: Float[ArrayLike, "3 3"], directions: Float[ArrayLike, "3 3"]
+    object_points: Real[ArrayLike, "3 3"] | Nested, directions: Real[ArrayLike, "3 3"] | Nested
 ) -> ThreePointResection:
     """Computes all orientations of an image with three points in given directions.
 
@@ -89,12 +90,12 @@ def three_point_resection(
 def _resection(points: Float[Array, "3 3"], directions: Float[Array, "3 3"]) -> ThreePointResection:
     directions = directions / jnp.linalg.norm(directions, axis=1, keepdims=True)
     origin = points.mean(0)  # large coordinates lose digits
-    found = three_point_solutions(_triple(points - origin), _triple(directions), jnp.zeros((), int))
+    found = three_point_solutions(_triple(points - origin[None]), _triple(directions), jnp.zeros((), int))
     sides = points - jnp.roll(points, 1, 0)
     area = 0.5 * jnp.linalg.norm(jnp.cross(sides[0], sides[1]))
     return ThreePointResection(
         jnp.stack(found.rotation, -1).reshape(4, 3, 3),
-        jnp.stack(found.centre, -1) + origin,
+        jnp.stack(found.centre, -1) + origin[None],
         jnp.stack(found.distances, -1),
         jnp.asarray(found.determinant),
         found.exact,

@@ -72,21 +72,23 @@ def direct_orientation(model: CameraModel, m: Measured) -> Orientation:
         return jnp.argmax(jnp.where(used, measure, -1.0), 0)[None]
 
     def picked(vector: Any, index: Array) -> Vector:
-        x, y, z = (jnp.take_along_axis(v, index, 0)[0] for v in vector)
+        x, y, z = (jnp.take_along_axis(v, index, 0) for v in vector)
         return x, y, z
 
-    mean = tuple(jnp.sum(jnp.where(used, x, 0.0), 0) / jnp.sum(used, 0) for x in d)
+    count = jnp.sum(used, 0, keepdims=True).astype(float)
+    mean = tuple(jnp.sum(jnp.where(used, x, 0.0), 0, keepdims=True) / count for x in d)
     first = most(squared(minus(d, (mean[0], mean[1], mean[2]))))
     second = most(squared(minus(d, picked(d, first))))
     third = most(jnp.abs(dot(d, cross(picked(d, first), picked(d, second)))))
     points, directions = ((picked(x, first), picked(x, second), picked(x, third)) for x in (m.points, d))
-    points, directions = stored((points, directions), zero)
+    points, directions = stored(jax.tree.map(lambda x: x[0], (points, directions)), zero)
     solutions = three_point_solutions(points, directions, zero)
     rotations, centres = stored((solutions.rotation, solutions.centre), zero)
     x, y, z, along_x, along_y, along_z = (
         e[:, None] for e in (*m.points, *d)
     )  # broadcast over the axis of the solutions
-    vector = photo_vector(rotations, centres, (x, y, z))
+    each_rotation, each_centre = _with_solutions((rotations, centres))
+    vector = photo_vector(each_rotation, each_centre, (x, y, z))
     cosine = dot(vector, (along_x, along_y, along_z)) / jnp.sqrt(squared(vector))
     misfit = jnp.sum(jnp.where(used[:, None], 1 - cosine, 0.0), 0)
     best = jnp.argmin(jnp.where(jnp.isnan(misfit), jnp.inf, misfit), 0)[None]
@@ -100,6 +102,7 @@ def three_point_solutions(points: Triple, directions: Triple, zero: Int[Array, "
     sides, cosines = stored((sides, cosines), zero)
     candidates, is_fallback = _candidates(sides, cosines, zero)
     s = candidates = stored(candidates, zero)
+    points, directions, sides, cosines = _with_solutions((points, directions, sides, cosines))
     for _ in range(NEWTON_STEPS):
         s = stored(minus(s, _newton_step(s, sides, cosines)), zero)
     largest = jnp.maximum(jnp.maximum(sides[0], sides[1]), sides[2])
@@ -125,16 +128,22 @@ def _candidates(sides: Vector, cosines: Vector, zero: Int[Array, ""]) -> tuple[V
     """Distances from both u of each v, and whether it is the one whose real part is used without a solution."""
     (aa, bb, cc), (alpha, beta, gamma) = sides, cosines
     v = stored(quartic_roots(stored(_grunert(aa / bb, cc / bb, alpha, beta, gamma), zero), zero), zero)
+    aa, bb, cc, alpha, beta, gamma = _with_solutions((aa, bb, cc, alpha, beta, gamma))
     s1_squared = bb / (1 + v * v - 2 * v * beta)
     root = jnp.sqrt(jnp.maximum(cc / s1_squared - 1 + gamma * gamma, 0.0))
-    u = jnp.stack([gamma + root, gamma - root])
-    misfit = jnp.abs(u * u + v * v - 2 * u * v * alpha - aa / s1_squared)
+    u, v = jnp.stack([gamma + root, gamma - root]), v[None]
+    misfit = jnp.abs(u * u + v * v - 2 * u * v * alpha[None] - (aa / s1_squared)[None])
     better = jnp.stack([misfit[0] <= misfit[1], misfit[0] > misfit[1]])
-    s1 = jnp.sqrt(s1_squared)
+    s1 = jnp.sqrt(s1_squared)[None]
     is_fallback = better & (v > 0) & (u > 0)
-    shape = (8, *jnp.shape(v)[1:])
+    shape = (8, *jnp.shape(v)[2:])
     s1, s2, s3 = (jnp.broadcast_to(x, u.shape).reshape(shape) for x in (s1, u * s1, v * s1))
     return (s1, s2, s3), is_fallback.reshape(shape)
+
+
+def _with_solutions(tree: Any) -> Any:
+    """Arrays with a leading axis of length 1 for the solutions."""
+    return jax.tree.map(lambda x: x[None], tree)
 
 
 def _law_of_cosines(s: Vector, sides: Vector, cosines: Vector) -> Vector:
@@ -174,7 +183,7 @@ def _without_repeats(s: Vector, valid: Bool[Array, "8 ..."]) -> Bool[Array, "8 .
     kept, distances = [valid[0]], jnp.stack(s)
     for i in range(1, 8):
         difference = jnp.sum(jnp.abs(distances[:, i, None] - distances[:, :i]), 0)
-        apart = difference > SAME * jnp.sum(jnp.abs(distances[:, i]), 0)
+        apart = difference > SAME * jnp.sum(jnp.abs(distances[:, i, None]), 0)
         kept.append(valid[i] & jnp.all(apart | ~jnp.stack(kept), 0))
     return jnp.stack(kept)
 

@@ -77,7 +77,7 @@ def closed_form(
     s = np.ones(d.shape)
     s[..., 2] = np.sign(np.linalg.det(u) * np.linalg.det(vt))
     r = (u * s[..., None, :]) @ vt
-    scale = (d * s).sum(-1) / np.maximum((w * ((x - cx) ** 2).sum(-1)).sum(-1), 1e-300)
+    scale = np.asarray((d * s).sum(-1) / np.maximum((w * ((x - cx) ** 2).sum(-1)).sum(-1), 1e-300))
     shift = co[..., 0, :] - scale[..., None] * np.einsum("...ij,...j->...i", r, cx[..., 0, :])
     return scale, r, shift, d
 

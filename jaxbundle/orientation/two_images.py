@@ -47,7 +47,7 @@ def homography(first: Float[Array, "4 3"], second: Float[Array, "4 3"]) -> Float
     """The matrix with second ~ H first for four pairs of rays; not finite if three of them are in a plane."""
     a, b = cofactor_matrix(first[:3]), cofactor_matrix(second[:3])  # rows: inverse of the columns up to a factor
     factors = (b @ second[3]) / (a @ first[3])
-    return (second[:3].T * factors) @ a
+    return (second[:3].T * factors[None]) @ a
 
 
 def motions_from_homography(
@@ -95,7 +95,7 @@ def eight_points(first: Float[Array, "point 2"], second: Float[Array, "point 2"]
     e = jnp.linalg.svd(rows)[2][-1].reshape(3, 3)
     e = two[1].T @ e @ one[1]
     u, _, vt = jnp.linalg.svd(e)
-    return (u * jnp.array([1.0, 1.0, 0.0])) @ vt
+    return (u * jnp.array([[1.0, 1.0, 0.0]])) @ vt
 
 
 def seven_points(
@@ -116,13 +116,13 @@ def seven_points(
 
     of_a, of_b = cofactor_matrix(a), cofactor_matrix(b)  # tr(adj(A) B) is the sum of cof(A) times B
     x = all_roots(jnp.stack([jnp.sum(of_a * a) / 3, jnp.sum(of_a * b), jnp.sum(of_b * a), jnp.sum(of_b * b) / 3]))
-    f = two[1].T @ (a + x.real[:, None, None] * b) @ one[1]
+    f = two[1].T @ (a[None] + x.real[:, None, None] * b[None]) @ one[1]
     return f / jnp.linalg.norm(f, axis=(1, 2), keepdims=True), jnp.abs(x.imag) < REAL * (1 + jnp.abs(x))
 
 
 def _conditioned(xy: Float[Array, "point 2"]) -> tuple[Float[Array, "point 3"], Float[Array, "3 3"]]:
     """Homogeneous coordinates relative to their mean, with size sqrt 2, and the matrix of this reduction."""
     mean = xy.mean(0)
-    scale = jnp.sqrt(2.0) / jnp.sqrt(jnp.mean(jnp.sum((xy - mean) ** 2, 1)))
+    scale = jnp.sqrt(2.0) / jnp.sqrt(jnp.mean(jnp.sum((xy - mean[None]) ** 2, 1)))
     matrix = jnp.eye(3).at[0, 0].set(scale).at[1, 1].set(scale).at[:2, 2].set(-scale * mean)
     return jnp.concatenate([xy, jnp.ones((xy.shape[0], 1))], 1) @ matrix.T, matrix

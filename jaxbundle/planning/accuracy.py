@@ -95,7 +95,7 @@ def in_area(block: Block, plan: FlightPlan) -> Points:
     return judged & inside(np.asarray(plan.area, float), np.asarray(block.object_points)[:, :2])
 
 
-def point_variances(prediction: Prediction, points: Points | None = None) -> Float[Array, "point 3"]:
+def point_variances(prediction: Prediction, points: Points | None = None) -> Float[Array | np.ndarray, "chosen 3"]:
     """Variances of X, Y, Z of the selected points."""
     blocks = prediction.cofactors.object_points
     xp = array_module(blocks)
@@ -144,7 +144,7 @@ def smooth_share(specification: Specification, width: float = 0.1, points: Point
 
     def measure(prediction: Prediction) -> Array:
         deviations = jnp.sqrt(point_variances(prediction, points))
-        worst = jnp.max(deviations / limits, axis=1)
+        worst = jnp.max(deviations / limits[None], axis=1)
         return jnp.mean(jax.nn.sigmoid((1 - worst) / width))
 
     return measure

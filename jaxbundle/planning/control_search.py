@@ -38,9 +38,9 @@ class Objective(NamedTuple):
         """The value of the objective for variances."""
         by_point = variances @ (np.asarray(self.weights) / np.sum(self.weights))
         if self.criterion == "mean":
-            return by_point.mean(-1)
+            return np.asarray(by_point.mean(-1))
         # the mean distinguishes layouts with equal worst points
-        return by_point.max(-1) + 1e-6 * by_point.mean(-1)
+        return np.asarray(by_point.max(-1) + 1e-6 * by_point.mean(-1))
 
 
 class Layout(NamedTuple):

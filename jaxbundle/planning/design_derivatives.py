@@ -89,7 +89,7 @@ def derivatives_of(block: Block, plan: FlightPlan, measure: Measure) -> Derivati
     sigmas, navigation = np.zeros((len(block.structure.point_names), 3)), 0.0
     for group, derivative in zip(block.groups, by_block.groups, strict=True):
         if group.structure.kind in (STATIONS, GNSS_STATIONS, *ATTITUDES.values()):
-            navigation += float(jnp.sum(derivative.sigmas * group.sigmas * group.structure.observed))
+            navigation += float(jnp.sum(jnp.where(group.structure.observed, derivative.sigmas * group.sigmas, 0.0)))
         if group.structure.kind == CONTROL:
             observed = np.where(group.structure.observed, np.asarray(derivative.sigmas), 0.0)
             np.add.at(sigmas, group.structure.indices[:, 0], observed)
@@ -132,7 +132,7 @@ def stretched(block: Block, plan: FlightPlan, stretch: Stretch) -> Block:
     matrix = axes.T @ (factors[:, None] * axes)
 
     def plan_of(xyz: Array) -> Array:
-        return middle + (xyz[:, :2] - middle) @ matrix.T
+        return middle[None] + (xyz[:, :2] - middle[None]) @ matrix.T
 
     ground = jnp.mean(centres[:, 2]) - plan.height
     raised = ground + (centres[:, 2] - ground) * height

@@ -88,7 +88,7 @@ def adjustment(
     optimised, iterations = ended.optimised, ended.iterations
     reference = on_device(spread(on_host(block.exterior.angles).T, plan.order.image, plan.order.images, 0.0))
     answer = _answer(arranged, problem, reference, ended.precision, ended.inspected, optimised=optimised)
-    weighted = _tables(plan, problem, answer.residuals)
+    weighted = _tables(block, plan, problem, answer.residuals)
     blocks, redundancy_numbers = None, None
     if answer.cofactors is not None:
         if not block.concrete:
@@ -98,7 +98,7 @@ def adjustment(
         if block.structure.datum.kind == "inner":
             inner = inner_cofactors_of(block.structure, plan, arranged, problem, answer.cofactors, optimised)
         blocks = _cofactors(block, plan, answer, inner)
-        redundancy_numbers = _redundancy_numbers(block, _tables(plan, problem, answer.cofactors.leverages))
+        redundancy_numbers = _redundancy_numbers(block, _tables(block, plan, problem, answer.cofactors.leverages))
     adjusted = _adjusted(block, plan, arranged, answer.angles, ended.origin)
     loose, weak = Undetermined(), ()
     if block.concrete and answer.inspection is not None:
@@ -136,11 +136,12 @@ def certified(iterations: Iterations, found: Inspection, noise: float) -> Iterat
     return iterations._replace(status=on_device(int(Status.STALLED)))
 
 
-def _tables(plan: EliminationPlan, problem: Problem, parts: list[Array]) -> tuple[Array, ...]:
+def _tables(block: Block, plan: EliminationPlan, problem: Problem, parts: list[Array]) -> tuple[Array, ...]:
     """Values of the observations, as one table for the rays and for each group; 0 where not observed."""
     of_rays = ray_arrays(problem)
     rays = rays_to_block_order(plan, problem.observations.model.components, parts[:of_rays])
-    return rays, *(on_device(on_host(v).T) for v in parts[of_rays:])
+    groups = zip(block.groups, parts[of_rays:], strict=True)
+    return rays, *(on_device(on_host(v).T[: len(group.structure.indices)]) for group, v in groups)
 
 
 def _unweighted(block: Block, weighted: tuple[Array, ...]) -> tuple[Array, ...]:
@@ -152,7 +153,8 @@ def _unweighted(block: Block, weighted: tuple[Array, ...]) -> tuple[Array, ...]:
 def _redundancy_numbers(block: Block, leverages: tuple[Array, ...]) -> tuple[Array, ...]:
     """Redundancy numbers r = 1 - h; 0 where not observed."""
     observed = np.ones(leverages[0].shape, bool), *(group.structure.observed for group in block.groups)
-    return tuple(on_device((1 - on_host(h)) * o) for h, o in zip(leverages, observed, strict=True))
+    xp = array_module(leverages)
+    return tuple(on_device(xp.where(o, 1 - on_host(h), 0.0)) for h, o in zip(leverages, observed, strict=True))
 
 
 def _adjusted(
@@ -170,9 +172,9 @@ def _adjusted(
         return on_device((np if is_concrete((new, old)) else jnp).where(free, new, old))
 
     shift, free = on_host(origin), structure.exterior_free
-    centre = chosen(free[:, :3], on_host(unknowns.centre).T + shift, block.exterior.projection_centre)
+    centre = chosen(free[:, :3], on_host(unknowns.centre).T + shift[None], block.exterior.projection_centre)
     turned = chosen(free[:, 3:], on_host(angles).T[plan.order.image], block.exterior.angles)
-    points = chosen(structure.point_free, on_host(unknowns.points).T + shift, block.object_points)
+    points = chosen(structure.point_free, on_host(unknowns.points).T + shift[None], block.object_points)
     elements = block.interior.elements.shape[1]
     interior = on_device(on_host(unknowns.interior)[:elements].T)
     return eqx.tree_at(

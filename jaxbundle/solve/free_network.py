@@ -146,7 +146,8 @@ def _carried(g: NormalVector, p: Problem, carrying: Float[Array, " place"]) -> N
     tiles = g.tiles.shape[2:]
     places = tiles[0] * tiles[1]
     at_border = _border(carrying[places:], p.layout.first_point)
-    return NormalVector(jnp.zeros_like(g.images), g.border * at_border, g.tiles * carrying[:places].reshape(tiles))
+    at_tiles = carrying[:places].reshape(1, 1, *tiles)
+    return NormalVector(jnp.zeros_like(g.images), g.border * at_border[None], g.tiles * at_tiles)
 
 
 def _border(of_points: Float[Array, " kept"], first: int) -> Float[Array, " border"]:

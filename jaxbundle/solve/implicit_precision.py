@@ -17,7 +17,7 @@ import jax
 import jax.numpy as jnp
 import numpy as np
 from jax.flatten_util import ravel_pytree
-from jaxtyping import Array, Float, Int
+from jaxtyping import Array, Float, Int, Shaped
 
 from jaxbundle.block.block import Structure
 from jaxbundle.block.design import MAX_UNKNOWNS
@@ -28,6 +28,7 @@ from jaxbundle.normals.from_block import BlockVectors, ordered_vectors
 from jaxbundle.normals.plan.elimination_plan import EliminationPlan
 from jaxbundle.normals.problem import NormalVector, OrderedUnknowns, Problem
 from jaxbundle.numerics.compilation import Compiled
+from jaxbundle.numerics.devices import copied
 from jaxbundle.numerics.host import on_device
 from jaxbundle.numerics.linear_map import linear_map
 from jaxbundle.solve.implicit import moved, zero_vector
@@ -110,10 +111,11 @@ def _by_engine(found: Precision, x: OrderedUnknowns, p: Problem, moved: tuple) -
 @Compiled
 def _dense(x: OrderedUnknowns, p: Problem, free: Int[Array, " free"]) -> Precision:
     """The cofactors from the full matrix Q."""
+    x, p = copied((x, p), p.devices)
     zero = zero_vector(p)
     sizes = np.cumsum([part.size for part in zero])
 
-    def vector(flat: Float[Array, " unknown"]) -> NormalVector:
+    def vector(flat: Shaped[Array, " unknown"]) -> NormalVector:
         return NormalVector(*(f.reshape(z.shape) for f, z in zip(jnp.split(flat, sizes[:-1]), zero, strict=True)))
 
     def residuals(d: Float[Array, " free"]) -> tuple[Array, ...]:
@@ -122,7 +124,7 @@ def _dense(x: OrderedUnknowns, p: Problem, free: Int[Array, " free"]) -> Precisi
     columns = jax.jacfwd(residuals)(jnp.zeros(free.shape))
     design = jnp.concatenate([a.reshape(-1, len(free)) for a in columns])
     scale = 1 / jnp.linalg.norm(design, axis=0)
-    factor = jax.scipy.linalg.cho_factor((design * scale).T @ (design * scale), lower=True)
+    factor = jax.scipy.linalg.cho_factor((design * scale[None]).T @ (design * scale[None]), lower=True)
     q = scale[:, None] * jax.scipy.linalg.cho_solve(factor, jnp.diag(scale))
     leverages = jnp.sum((design @ q) * design, 1)
     at_residual = np.cumsum([a.size // len(free) for a in columns])

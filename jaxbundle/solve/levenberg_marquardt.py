@@ -144,7 +144,7 @@ class BundleSolver(optx.AbstractLeastSquaresSolver[OrderedUnknowns, Any, Any, St
                 converged | stalled | hopeless,
                 RESULTS.where(hopeless, diverged, result),
                 state.trials + 1,
-                state.accepted + accepted,
+                state.accepted + accepted.astype(state.accepted.dtype),
                 factor,
                 jnp.where(state.trials == 0, trial.cost, state.initial_cost),
                 cost,

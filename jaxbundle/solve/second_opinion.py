@@ -144,7 +144,7 @@ def _round(
     def step(carry: tuple) -> tuple:
         x, state, tried, moved = carry
         new, state = solver.update(x, state)
-        return new, state, tried + 1, moved + jnp.any(new != x)
+        return new, state, tried + 1, moved + jnp.any(new != x).astype(moved.dtype)
 
     x, _, tried, moved = lax.while_loop(moving, step, (start, solver.init_state(start), zero, zero))
     return x, tried, moved
@@ -158,7 +158,7 @@ def _full_step(unknowns: Unknowns, args: Arguments, free: Int[Array, " free"]) -
     v, design = _residuals(unknowns, o), design_columns(unknowns, o, free[None]).T
     length = jnp.linalg.norm(design, axis=0)
     scale = jnp.where(length > 0, length, 1.0)
-    q, r = jnp.linalg.qr(design / scale)
+    q, r = jnp.linalg.qr(design / scale[None])
     tangential = q.T @ v  # same length as A d
     x = -solve_triangular(r, tangential)
     # rounding of the image coordinates: shorter steps cannot be distinguished from 0

@@ -138,10 +138,10 @@ class ParallaxRule(AbstractStoppingRule):
         directions, centres = measured_directions(unknowns, self.pairs.rays)
         u, w = directions[:, first], directions[:, second]
         base = centres[:, second] - centres[:, first]
-        base = base / jnp.sqrt(jnp.sum(base**2, 0))
+        base = base / jnp.sqrt(jnp.sum(base**2, 0, keepdims=True))
         mean = u + w
-        depth = mean - base * jnp.sum(mean * base, 0)  # normal case: depth orthogonal to the base
-        depth = depth / jnp.sqrt(jnp.sum(depth**2, 0))
+        depth = mean - base * jnp.sum(mean * base, 0, keepdims=True)  # normal case: depth orthogonal to the base
+        depth = depth / jnp.sqrt(jnp.sum(depth**2, 0, keepdims=True))
         across = jnp.cross(depth, base, axis=0)
         return jnp.sum(u * across, 0) / jnp.sum(u * depth, 0) - jnp.sum(w * across, 0) / jnp.sum(w * depth, 0)
 

@@ -150,9 +150,9 @@ def _factors(
     scale = jnp.where(lengths > 0, 1 / jnp.where(lengths > 0, lengths, 1.0), 0.0)
     missing = free.ravel() >= elements(o)
     design = (columns * scale[:, None]).T
-    first = inverse_factor(design.T @ design + jnp.diag(1.0 * missing))
+    first = inverse_factor(design.T @ design + jnp.diag(missing.astype(float)))
     nearly = design @ first.T
-    second = inverse_factor(nearly.T @ nearly + jnp.diag(1.0 * missing))
+    second = inverse_factor(nearly.T @ nearly + jnp.diag(missing.astype(float)))
     turned = angle_derivatives(unknowns.rotation, o.in_angles, reference.T, o.system)
     inverse = scale[:, None] * (second @ first).T
     return nearly @ second.T, inverse, 1 / jnp.diagonal(first) ** 2, turned

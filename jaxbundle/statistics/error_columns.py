@@ -240,7 +240,7 @@ def _changes_by_points(unknowns: Unknowns, o: Observations, moved: Array) -> Flo
     zero, residuals = no_corrections(o), residuals_after(unknowns, o)
 
     def along(axis: Array) -> Float[Array, " observation"]:
-        return jax.jvp(residuals, (zero,), (zero._replace(points=axis[:, None] * moved),))[1]
+        return jax.jvp(residuals, (zero,), (zero._replace(points=jnp.where(moved[None], axis[:, None], 0.0)),))[1]
 
     return jax.lax.map(along, jnp.eye(3))
 

@@ -202,8 +202,9 @@ def _complex_step(function: Callable) -> Callable:
     """The Jacobian of a real analytic function of a vector, in the form of `jax.jacfwd`."""
 
     def jacobian(unknowns: Float[Array, " n"], *arguments: Array) -> Float[Array, "m n"]:
-        steps = unknowns + 1j * STEP * jnp.eye(len(unknowns))
-        return jax.vmap(lambda shifted: function(shifted, *arguments), out_axes=-1)(steps).imag / STEP
+        steps = unknowns.astype(complex)[None] + 1j * STEP * jnp.eye(len(unknowns), dtype=complex)
+        others = [argument.astype(complex) for argument in arguments]
+        return jax.vmap(lambda shifted: function(shifted, *others), out_axes=-1)(steps).imag / STEP
 
     return jacobian
 
@@ -252,11 +253,11 @@ def _largest(
     derivatives = derivatives.reshape(len(METHODS), len(NAMES), -1)
 
     def largest(difference: Float[Array, "3 18 ray"]) -> Float[Array, "3 18"]:
-        relative = jnp.abs(difference) / jnp.concatenate([unit, unit])
+        relative = jnp.abs(difference) / jnp.concatenate([unit, unit])[None]
         relative = jnp.where(jnp.isnan(relative), jnp.inf, relative)  # on a CPU, XLA's maximum ignores NaN
         return jnp.max(jnp.where(in_view, relative, 0.0), axis=-1)
 
-    return largest(closed - derivatives), largest(closed + derivatives)
+    return largest(closed[None] - derivatives), largest(closed[None] + derivatives)
 
 
 def _compare_matrices(angles: Float[Array, "3 ray"]) -> MatrixComparison:

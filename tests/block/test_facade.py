@@ -51,6 +51,7 @@ def test_tables_have_units_in_their_names(result):
     assert "sX" in result.to_frames(units=False)["points"].columns
 
 
+@pytest.mark.usefixtures("unchecked_types")  # a number for a name
 @pytest.mark.parametrize(
     ("ask", "words"),
     [
@@ -120,3 +121,11 @@ def test_units_of_interior_elements(image_unit, metric, distance, point):
     assert camera.unit_of("principal_distance") == distance
     assert camera.unit_of("x0") == camera.unit_of("y0") == point
     assert camera.unit_of("K1") == ""
+
+
+def test_interior_elements_are_fixed_together():
+    free = jb.simulate(1, 2, camera=jb.planning.AerialCamera(estimate=("principal_distance", "x0"))).block
+    fixed = jb.blocks.with_interior_held(free)
+    assert fixed.structure.n_unknowns == free.structure.n_unknowns - 2
+    assert not fixed.structure.interior_free.any()
+    np.testing.assert_array_equal(fixed.interior.elements, free.interior.elements)

@@ -18,6 +18,8 @@ from jaxbundle.block.magnitudes import repeated_rows
 from jaxbundle.block.observation_kinds import ObservationKind
 from jaxbundle.camera.forward import BAL
 
+pytestmark = pytest.mark.usefixtures("unchecked_types")
+
 
 @pytest.fixture(scope="module")
 def block():

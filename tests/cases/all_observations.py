@@ -19,7 +19,7 @@ from jaxbundle.planning.flight import AerialCamera
 from jaxbundle.planning.monte_carlo_runs import drawn
 from jaxbundle.planning.simulation import simulate
 
-__all__ = ["CASES", "PAIRS", "case", "drawn", "in_batches", "observed", "strip", "tie_points", "with_parameters"]
+__all__ = ["CASES", "case", "drawn", "in_batches", "observed", "strip", "tie_points", "with_parameters"]
 
 
 def strip(control_sigma: float = 0.05) -> Block:
@@ -135,15 +135,36 @@ def correlated(block: Block) -> Block:
 
 
 CASES = {"geodetic": geodetic, "figures": figures, "navigation": navigation, "correlated": correlated}
-PAIRS = {
-    "geodetic and navigation": lambda block: navigation(geodetic(block)),
-    "figures and correlated": lambda block: correlated(figures(block)),
-}
+
+
+def everything(block: Block) -> Block:
+    """All kinds in one block: one program of each computation serves them all."""
+    return correlated(figures(navigation(geodetic(block))))
+
+
+def forms(block: Block) -> Block:
+    """One kind of each form: touched points, images and parameters, of this and that number; correlated or not.
+
+    What is computed by autodiff of the residuals does not know one kind of a form from another. An angle is held.
+    """
+    p = tie_points(block)
+    middle = np.asarray(block.object_points).mean(0)
+    block = observed(block, geodetic_kind("distances"), [[p[0], p[4]], [p[1], 0]], 0.02)
+    block = observed(block, geodetic_kind("distances", "image"), [[1, p[2]]], 0.02)
+    block, (one, two, *plane) = with_parameters(block, {"one": 0.4, "two": -2.0, "x": 0.1, "y": -0.2, "height": 3.0})
+    block = observed(block, geodetic_kind("directions"), [[p[3], q, one] for q in (0, 1, p[5])], 1e-4)
+    block = observed(block, geodetic_kind("directions", "image"), [[0, q, two] for q in (0, p[1], p[2])], 1e-4)
+    upright = np.tile([*middle, *np.eye(3).ravel()], (5, 1))
+    block = observed(block, PLANES, [[q, *plane] for q in p[:5]], 0.02, upright)
+    free = block.structure.exterior_free.copy()
+    free[1, 4] = False
+    structure = dataclasses.replace(block.structure, exterior_free=free)
+    return correlated(navigation(dataclasses.replace(block, structure=structure)))
 
 
 def case(name: str) -> Block:
     """One of the blocks, its datum chosen."""
-    return with_datum((CASES | PAIRS)[name](strip()))
+    return with_datum((CASES | {"all observations": everything, "all forms": forms})[name](strip()))
 
 
 def in_batches(one: Callable, size: int = 100) -> Callable:

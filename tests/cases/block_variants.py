@@ -62,7 +62,6 @@ def with_two_models(block: Block) -> Block:
 
 
 BLOCKS = {
-    "shared camera": lambda block: with_held_angles(with_distances(block)),
+    "shared cameras": lambda block: with_two_models(with_held_angles(with_distances(block))),
     "private cameras": lambda block: with_distances(with_private_cameras(block)),
-    "two models": with_two_models,
 }

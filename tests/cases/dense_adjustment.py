@@ -3,6 +3,7 @@
 Everything stands in one vector of the free corrections: exterior, then interior by column, then object points.
 """
 
+from functools import partial
 from typing import NamedTuple
 
 import equinox as eqx
@@ -92,16 +93,40 @@ def residual_vector(
     return jnp.concatenate([v.ravel() for v in weighted_residuals(moved(unknowns, o, d, free), o)])
 
 
+Forms = tuple[tuple[tuple[int, ...], bytes], ...]  # of masks, as static arguments
+
+
+def _forms(o: Observations) -> Forms:
+    return tuple((mask.shape, mask.tobytes()) for mask in masks(o))
+
+
+def _masks(forms: Forms) -> Masks:
+    return tuple(np.frombuffer(values, bool).reshape(shape) for shape, values in forms)
+
+
+@partial(jax.jit, static_argnames="forms", compiler_options=QUICKLY)
+def _linearised(zero: Float[Array, " free"], unknowns: Unknowns, o: Observations, forms: Forms) -> tuple[Array, Array]:
+    v, linear = jax.linearize(lambda d: residual_vector(unknowns, o, d, _masks(forms)), zero)
+    return jax.vmap(linear, out_axes=1)(jnp.eye(len(zero))), v
+
+
 def dense_system(unknowns: Unknowns, o: Observations) -> System:
     """Design matrix and residuals at the unknowns; values are arguments, so that blocks of one form share a program."""
-    free = masks(o)
-
-    def both(zero: Float[Array, " free"], unknowns: Unknowns, o: Observations) -> tuple[Array, Array]:
-        v, linear = jax.linearize(lambda d: residual_vector(unknowns, o, d, free), zero)
-        return jax.vmap(linear, out_axes=1)(jnp.eye(len(zero))), v
-
-    design, v = jax.jit(both, compiler_options=QUICKLY)(jnp.zeros(free_count(o)), unknowns, o)
+    design, v = _linearised(jnp.zeros(free_count(o)), unknowns, o, _forms(o))
     return System(np.asarray(design), np.asarray(v))
+
+
+@partial(jax.jit, static_argnames="forms", compiler_options=QUICKLY)
+def _curved(d: Float[Array, " free"], unknowns: Unknowns, o: Observations, forms: Forms) -> Float[Array, " free"]:
+    def cost(e: Float[Array, " free"]) -> Array:
+        return 0.5 * jnp.sum(residual_vector(unknowns, o, e, _masks(forms)) ** 2)
+
+    return jax.jvp(jax.grad(cost), (jnp.zeros_like(d),), (d,))[1]
+
+
+def hessian_product(unknowns: Unknowns, o: Observations, d: Float[np.ndarray, " free"]) -> Float[np.ndarray, " free"]:
+    """H d, with all second derivatives of v^T P v / 2 by the free corrections."""
+    return np.asarray(_curved(jnp.asarray(d), unknowns, o, _forms(o)))
 
 
 def dense_step(system: System, damping: float) -> Float[np.ndarray, " free"]:

@@ -9,8 +9,9 @@ from typing import NamedTuple
 import numpy as np
 from scipy.spatial.transform import Rotation
 
-MAX_STEPS = 60
+MAX_STEPS = 400  # along the weak directions of a single strip sixty are too few
 SETTLED = 1e-12  # relative change of the sum of squares
+MIN_DAMPING = 1e-10  # with less, rounding makes the equations singular
 
 
 class Bundle(NamedTuple):
@@ -37,7 +38,13 @@ def adjusted(
         total = float((v_new**2).sum())
         if total < squares:
             settled = squares - total < SETTLED * squares
-            (rotation, centre, points), v, p, squares, damping = new, v_new, p_new, total, damping / 10
+            (rotation, centre, points), v, p, squares, damping = (
+                new,
+                v_new,
+                p_new,
+                total,
+                max(damping / 10, MIN_DAMPING),
+            )
             if settled:
                 break
         else:
@@ -80,6 +87,8 @@ def _step(rotation: np.ndarray, at: tuple, of: tuple, sizes: tuple, constants: t
     reduced = -scaled @ dense.T
     for i in range(images):
         reduced[6 * i : 6 * i + 6, 6 * i : 6 * i + 6] += u[i]
+    without_rays = np.flatnonzero(np.diagonal(reduced) == 0)
+    reduced[without_rays, without_rays] = 1.0
     of_images = -np.linalg.solve(reduced, g_image.ravel() - scaled @ g_point.ravel())
     rest = g_point + (dense.T @ of_images).reshape(points, 3)
     return of_images.reshape(images, 6), -np.einsum("pij,pj->pi", inverse, rest)

@@ -2,8 +2,8 @@
 
     v = scale R^T (X - X0) - measured            an independent model: 7 unknowns, 3 residuals per point
 
-with residuals that are correlated (their factor L^-1 stands behind the measured coordinates), or with the polynomial
-of a strip in place of the scale alone.
+or with the polynomial of a strip in place of the scale alone, and residuals that are correlated (their factor L^-1
+stands behind the measured coordinates).
 """
 
 import jax.numpy as jnp
@@ -32,22 +32,17 @@ def _model(interior: tuple[Scalar, ...], p: Vector, measured: tuple[Scalar, ...]
     return tuple(scale * a - b for a, b in zip(p, measured, strict=True))
 
 
-def _correlated(interior: tuple[Scalar, ...], p: Vector, measured: tuple[Scalar, ...]) -> tuple[Scalar, ...]:
-    x, y, z = _model(interior, p, measured[:3])
+def _correlated_strip(interior: tuple[Scalar, ...], p: Vector, measured: tuple[Scalar, ...]) -> tuple[Scalar, ...]:
+    scale, bend, twist = interior
+    x, y, z = p
+    bent = x, y + twist * x * z, z + bend * x * x
+    x, y, z = (scale * a - b for a, b in zip(bent, measured[:3], strict=True))
     f11, f21, f22, f31, f32, f33 = measured[3:]
     return f11 * x, f21 * x + f22 * y, f31 * x + f32 * y + f33 * z
 
 
-def _strip(interior: tuple[Scalar, ...], p: Vector, measured: tuple[Scalar, ...]) -> tuple[Scalar, ...]:
-    scale, bend, twist = interior
-    x, y, z = p
-    bent = x, y + twist * x * z, z + bend * x * x
-    return tuple(scale * a - b for a, b in zip(bent, measured, strict=True))
-
-
 MODEL = CameraModel("model", ("scale",), _model, components=3, numbers=3)
-CORRELATED = CameraModel("correlated model", ("scale",), _correlated, components=3, numbers=9)
-STRIP = CameraModel("strip", ("scale", "bend", "twist"), _strip, components=3, numbers=3)
+STRIP = CameraModel("correlated strip", ("scale", "bend", "twist"), _correlated_strip, components=3, numbers=9)
 
 
 def point_clouds(sensor: CameraModel, shared: bool = False, seed: int = 3) -> Block:
@@ -65,10 +60,10 @@ def point_clouds(sensor: CameraModel, shared: bool = False, seed: int = 3) -> Bl
     rotation = OMEGA_PHI_KAPPA.rotation_from_angles(*angles[image].T)
     seen = apply(transpose(rotation), tuple((points[point] - centres[image]).T))
     measured = np.zeros((len(image), sensor.numbers))
-    if sensor is CORRELATED:
+    if sensor is STRIP:
         measured[:, 3:] = [1.0, 0.4, 1.2, -0.3, 0.2, 0.8]
     exact = np.stack(sensor.residual(tuple(interior[camera[image]].T), seen, tuple(measured.T)), 1)
-    if sensor is CORRELATED:
+    if sensor is STRIP:
         factor = np.array([[1.0, 0, 0], [0.4, 1.2, 0], [-0.3, 0.2, 0.8]])
         exact = np.linalg.solve(factor, exact.T).T
     sigma = 0.0001

@@ -55,7 +55,11 @@ def test_adjusts_and_is_silent_in_a_pipe(run, folder, tmp_path):
     assert [path.name for path in tmp_path.iterdir()] == ["small-adjusted"]
 
 
-def test_not_to_be_trusted_is_1_and_written_all_the_same(run, folder, tmp_path):
+@pytest.mark.parametrize("searched", [False, pytest.param(True, marks=pytest.mark.thorough)])
+def test_not_to_be_trusted_is_1_and_written_all_the_same(run, folder, tmp_path, monkeypatch, searched):
+    """The search for causes adjusts other blocks: it has its own tests, and finds none here."""
+    if not searched:
+        monkeypatch.setattr("jaxbundle.diagnosis.adjusted.causes", lambda *_: ())
     code, out, err = run("adjust", folder, "--max-iterations", 1, "--out", "few", "--no-precision")
     assert (code, err) == (1, "")
     assert "not converged" in out and "allow more iterations" in out

@@ -214,7 +214,9 @@ def test_matrices_from_angles_are_analytic(system):
     """A complex step gives the automatic derivative: the ground of the cross-check of the partials."""
     angles = jnp.array([0.4, -1.3, 2.2])
     jacobian = jax.jit(jax.jacobian(lambda a: jnp.stack(system.rotation_from_angles(*a))))(angles)
-    stepped = jnp.stack(system.rotation_from_angles(*(angles[:, None] + 1e-30j * jnp.eye(3))))
+    stepped = jnp.stack(
+        system.rotation_from_angles(*(angles[:, None].astype(complex) + 1e-30j * jnp.eye(3, dtype=complex)))
+    )
     np.testing.assert_allclose(stepped.imag / 1e-30, jacobian, atol=1e-15)
 
 

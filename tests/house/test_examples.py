@@ -80,12 +80,14 @@ def test_learned_distortion(printed):
     assert learned < 1.1 * true < 0.5 * without
 
 
+@pytest.mark.thorough
 def test_tuned_weights(printed):
     out = printed("07_tuned_weights.py")
     said, tuned, true = (float(line.split()[-1]) for line in out.splitlines()[1:])
     assert tuned < said and tuned < 1.1 * true
 
 
+@pytest.mark.thorough
 def test_leave_one_out(printed):
     out = printed("08_leave_one_out.py")
     agreeing = re.search(r"(\d+)% of the rays agree within 5%", out)

@@ -232,6 +232,7 @@ def test_level_1_of_a_shifted_image_is_shifted_by_half(sand):
     assert np.abs(np.median(shift, 0) - [-0.5, 0]).max() < 0.01
 
 
+@pytest.mark.usefixtures("unchecked_types")  # wrong types on purpose
 def test_refusals():
     templates, searched, *_ = warped(6, 0.2, 7)
     middle = HALF + MARGIN + 0.5
@@ -248,6 +249,7 @@ def test_refusals():
     assert "texture" in status[0].words
 
 
+@pytest.mark.usefixtures("unchecked_types")  # wrong types on purpose
 def test_wrong_shapes_are_refused():
     with pytest.raises(ValueError, match=r"shapes \(2, 11, 11\)"):
         match(np.zeros((2, 11, 11)), np.zeros((2, 35, 35)), np.zeros((2, 2)), np.zeros((1, 6)))

@@ -145,3 +145,13 @@ def test_files_that_are_not_images(shared_data, tmp_path):
         with pytest.raises(jb.imagery.ImageError, match=f"{name}: is not a readable image"):
             pyramid(tmp_path / name)
         assert not (tmp_path / "pyramids" / f"{name}.tif").exists()
+
+
+@pytest.mark.parametrize("name", ["a.png", "a.jpg", "a.tif"])
+def test_headers_of_photographs(name, tmp_path):
+    Image.fromarray(np.zeros((20, 30, 3), np.uint8)).save(tmp_path / name)
+    photo = jb.imagery.photograph(tmp_path / name)
+    assert (photo.rows, photo.columns, photo.channels) == photo.shape == (20, 30, 3)
+    (tmp_path / name).write_text("no image", encoding="utf-8")
+    with pytest.raises(jb.imagery.ImageError, match="is not a readable image"):
+        jb.imagery.photograph(tmp_path / name)

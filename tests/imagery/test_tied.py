@@ -76,6 +76,7 @@ def test_point_and_normal_of_a_plane(scene):
     np.testing.assert_allclose(found.positions, expected, atol=1e-6)
 
 
+@pytest.mark.usefixtures("unchecked_types")  # wrong types on purpose
 def test_images_of_something_else_are_refused(scene):
     template, searched, point = scene
     other = searched._replace(grey=jnp.asarray(np.random.default_rng(1).uniform(0, 255, searched.grey.shape)))

@@ -161,6 +161,10 @@ def test_what_cannot_be_formed_is_told(simulation):
         jb.independent.adjust_models(block, pairs=[("1_01", "9_99")])
     with pytest.raises(jb.BlockError, match="a model has image 1_01 twice"):
         jb.independent.adjust_models(block, pairs=[("1_01", "1_01")])
+    with pytest.raises(jb.BlockError, match="a model names image 9_99, which is not in the block"):
+        jb.independent.plan_height(block, pairs=[("1_01", "9_99")])
+    with pytest.raises(jb.BlockError, match="9_99, which is not in the block"):
+        jb.independent.adjust_strips(block, strips=[["1_01", "9_99"]])
     with pytest.raises(jb.BlockError, match="no two images form a model"):
         formed(block, [])
     _, told = formed(block, [("1_01", "1_02"), ("1_03", "1_04"), ("2_01", "2_02")])

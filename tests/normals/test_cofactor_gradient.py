@@ -1,11 +1,14 @@
 """Transposed derivatives of cofactors and leverages by the engine are those of the whole matrix Q."""
 
+from collections.abc import Callable
+from typing import NamedTuple
+
 import equinox as eqx
 import jax
 import jax.numpy as jnp
 import numpy as np
 import pytest
-from cases.all_observations import PAIRS, case
+from cases.all_observations import case, strip
 from cases.block_variants import BLOCKS
 from cases.simulated_blocks import small_block
 
@@ -13,36 +16,50 @@ from jaxbundle.block.block import Block
 from jaxbundle.block.unknowns import attitude_derivatives, unknowns_of
 from jaxbundle.normals.cofactors import cofactors
 from jaxbundle.normals.from_block import problem, to_elimination_order
-from jaxbundle.normals.plan.elimination_plan import plan_elimination
+from jaxbundle.normals.plan.elimination_plan import EliminationPlan, plan_elimination
 from jaxbundle.normals.problem import OrderedUnknowns, Problem
 from jaxbundle.solve import implicit_precision
 
 CASES = {
-    **{name: lambda name=name: BLOCKS[name](small_block(noise=1.0).block) for name in BLOCKS},
-    **{name: lambda name=name: case(name) for name in PAIRS},
+    "all forms": lambda: case("all forms"),
+    "private cameras": lambda: BLOCKS["private cameras"](small_block(noise=1.0).block),
 }
 
 
-def gradients(block: Block, monkeypatch) -> list[tuple]:
-    """Of all cofactors and leverages, with different weights: by the engine, and by the whole of Q."""
+class Given(NamedTuple):
+    """Cofactors as a function of unknowns and observations; `plan`: where the images of the block are."""
+
+    at: tuple[OrderedUnknowns, Problem]
+    plan: EliminationPlan
+    precision: Callable[[tuple[OrderedUnknowns, Problem]], implicit_precision.Precision]
+
+
+def given(block: Block, devices: int) -> Given:
+    """Values of the cofactors do not enter into their derivatives."""
     centres = np.asarray(block.exterior.projection_centre)
-    plan = plan_elimination(block.structure, block.groups, centres, 1)
+    plan = plan_elimination(block.structure, block.groups, centres, devices)
     block = block.moved(-centres.mean(0))
-    given = to_elimination_order(plan, unknowns_of(block)), problem(plan, block)
-    o, matrix = given[1].observations, given[0].images.rotation
-    turns = attitude_derivatives(matrix, o.in_angles, o.system)
-    found = jax.eval_shape(cofactors, *given)
+    at = to_elimination_order(plan, unknowns_of(block)), problem(plan, block)
+    found = jax.eval_shape(cofactors, *at)
     found = jax.tree.map(lambda x: jnp.zeros(x.shape, x.dtype), found)
 
-    def precision(given: tuple[OrderedUnknowns, Problem]) -> implicit_precision.Precision:
-        q = implicit_precision.with_derivatives(found, *given, plan, block.structure, False)
+    def precision(at: tuple[OrderedUnknowns, Problem]) -> implicit_precision.Precision:
+        q = implicit_precision.with_derivatives(found, *at, plan, block.structure, False)
         return implicit_precision.Precision(q.images, q.border, q.points, q.leverages)
 
+    return Given(at, plan, precision)
+
+
+def gradients(block: Block, devices: int, monkeypatch) -> list[tuple]:
+    """Of all cofactors and leverages, with different weights: by the engine, and by the whole of Q."""
+    at, plan, precision = given(block, devices)
+    o, matrix = at[1].observations, at[0].images.rotation
+    turns = attitude_derivatives(matrix, o.in_angles, o.system)
     gradients = []
     for most in (0, 3000):
         monkeypatch.setattr(implicit_precision, "MAX_UNKNOWNS", most)
-        value, back = eqx.filter_vjp(precision, given)
-        weights = jax.tree.map(lambda q: jnp.cos(1.0 + jnp.arange(q.size)).reshape(q.shape), value)
+        value, back = eqx.filter_vjp(precision, at)
+        weights = jax.tree.map(lambda q: jnp.cos(1.0 + jnp.arange(q.size, dtype=float)).reshape(q.shape), value)
         by_unknowns, by_problem = back(weights)[0]
         # of the nine elements of a matrix only what turns it; of the images only those of the block
         images = by_unknowns.images
@@ -59,7 +76,26 @@ def assert_equal(one: tuple, other: tuple) -> None:
 
 
 @pytest.mark.parametrize(
-    "name", [name if name in PAIRS else pytest.param(name, marks=pytest.mark.thorough) for name in CASES]
+    ("name", "devices"),
+    [
+        ("all forms", 1),
+        *(
+            pytest.param(name, count, marks=pytest.mark.thorough)
+            for name, count in (("all forms", 2), ("private cameras", 1))
+        ),
+    ],
 )
-def test_gradient(name, monkeypatch):
-    assert_equal(*gradients(CASES[name](), monkeypatch))
+def test_gradient(name, devices, monkeypatch):
+    assert_equal(*gradients(CASES[name](), devices, monkeypatch))
+
+
+def test_second_derivatives_by_the_engine_are_refused(monkeypatch):
+    monkeypatch.setattr(implicit_precision, "MAX_UNKNOWNS", 0)
+    at, _, precision = given(strip(), 1)
+
+    def scatter(factor: jax.Array) -> jax.Array:
+        scaled = eqx.tree_at(lambda at: at[0].tiles, at, factor * at[0].tiles)
+        return jnp.sum(precision(scaled).points)
+
+    with pytest.raises(ValueError, match=r"have no second derivatives: call adjust\(\.\.\., precision=False\)"):
+        jax.eval_shape(jax.grad(jax.grad(scatter)), jnp.ones(()))

@@ -10,7 +10,7 @@ from cases.simulated_blocks import small_block
 
 from jaxbundle.block.block import Block
 from jaxbundle.solve.adjust import adjust
-from jaxbundle.solve.adjustment import Status
+from jaxbundle.solve.adjustment import Adjustment, Status
 
 
 @pytest.fixture(scope="module", params=BLOCKS)
@@ -24,16 +24,22 @@ def test_steps(block):
 
 
 def test_steps_in_panels():
-    assert_dense_steps(BLOCKS["shared camera"](small_block().block), "panels", 2)
+    assert_dense_steps(BLOCKS["shared cameras"](small_block().block), "panels", 2)
 
 
-def test_steps_by_conjugate_gradients(block):
-    assert_dense_steps(block, "pcg")
+@pytest.mark.parametrize("name", [pytest.param("shared cameras", marks=pytest.mark.thorough), "private cameras"])
+def test_steps_by_conjugate_gradients(name):
+    assert_dense_steps(BLOCKS[name](small_block().block), "pcg")
 
 
-def test_standard_deviations(block):
+@pytest.fixture(scope="module")
+def adjustment(block) -> Adjustment:
+    """By the program of the steps."""
+    return adjust(block, method="gauss-newton")
+
+
+def test_standard_deviations(adjustment):
     """At the minimum, the attitudes in the user's angles."""
-    adjustment = adjust(block, method="gauss-newton")
     assert adjustment.status is Status.CONVERGED
     unknowns, observations = centred(adjustment.block)
     expected = float(adjustment.sigma0) * np.sqrt(np.diagonal(dense_cofactors(unknowns, observations)))
@@ -53,9 +59,8 @@ def test_standard_deviations(block):
         assert not values[~free].any()  # what is held has none
 
 
-def test_redundancy_numbers(block):
+def test_redundancy_numbers(adjustment):
     """Each is 1 less the leverage of its row, and they sum to the redundancy."""
-    adjustment = adjust(block, method="gauss-newton")
     system = dense_system(*centred(adjustment.block))
     leverages = np.sum(np.linalg.qr(system.design / system.lengths)[0] ** 2, 1)
     assert adjustment.redundancy_numbers is not None

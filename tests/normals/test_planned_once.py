@@ -3,6 +3,7 @@
 import dataclasses
 import gc
 import weakref
+from functools import partial
 
 import equinox as eqx
 import jax
@@ -81,14 +82,17 @@ def test_a_plan_made_under_tracing_serves_outside(count: list[int]):
 
 
 def test_what_the_plan_depends_on_is_planned_anew(count: list[int]):
-    block = small_block().block
-    jb.adjust(block, precision=False)
-    jb.adjust(block, precision=False, devices=2, reduced="panels")
+    block = jb.adjust(small_block().block, precision=False).block
+    structure = block.structure
+    plan = partial(known_plans.planned, centres=np.asarray(block.exterior.projection_centre), direct=False)
+    known = plan(structure, block.groups, devices=1)
+    assert count == [1]  # that of the adjustment
+    plan(structure, block.groups, devices=2, solver="panels")
     assert count == [1, 2]
-    jb.adjust(dataclasses.replace(block, groups=block.groups[:1]), precision=False)
-    jb.adjust(dataclasses.replace(block, structure=dataclasses.replace(block.structure)), precision=False)
+    plan(structure, block.groups[:1], devices=1)
+    plan(dataclasses.replace(structure), block.groups, devices=1)
     assert count == [1, 2, 1, 1]
-    jb.adjust(block, precision=False)
+    assert plan(structure, block.groups, devices=1) is known
     assert count == [1, 2, 1, 1]
 
 

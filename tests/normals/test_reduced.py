@@ -137,7 +137,9 @@ def test_an_undetermined_unknown_has_no_pivot(method):
     rng = np.random.default_rng(5)
     plan = reduced_plan(graph_of("strip", rng), IMAGES, 6, 1, method, q=4)
     system, *_ = problem(plan, 6, 0, rng)
-    system = reduced.ReducedSystem(**{**vars(system), "free": jnp.arange(plan.images)[:, None] < jnp.full(6, IMAGES)})
+    system = reduced.ReducedSystem(
+        **{**vars(system), "free": jnp.arange(plan.images)[:, None] < jnp.full((1, 6), IMAGES)}
+    )
     block = int(np.nonzero((plan.pairs[:, 0] == 20) & (plan.pairs[:, 1] == 20))[0][0])
     touches = jnp.asarray(np.nonzero((plan.pairs[:, 0] == 20) ^ (plan.pairs[:, 1] == 20))[0])
     imitated = system.pairs[block].at[3].set(system.pairs[block, 2]).at[:, 3].set(system.pairs[block, :, 2])

@@ -12,6 +12,8 @@ import numpy as np
 import pytest
 
 from jaxbundle.block.unknowns import _compiled_rotations
+from jaxbundle.camera.brown import BROWN, DISTORTION_FREE
+from jaxbundle.camera.model import mixture
 from jaxbundle.geometry.rotation import OMEGA_PHI_KAPPA, RotationSystem
 from jaxbundle.numerics import programs
 from jaxbundle.numerics.compilation import Compiled
@@ -149,6 +151,7 @@ def test_foreign_function_is_not_kept(folder):
     assert not list(folder.iterdir())
 
 
+@pytest.mark.usefixtures("unchecked_types")  # wrong types on purpose
 def test_foreign_part_of_an_argument_is_not_kept(folder):
     def turned(*angles):
         return OMEGA_PHI_KAPPA.rotation_from_angles(*angles)
@@ -159,6 +162,12 @@ def test_foreign_part_of_an_argument_is_not_kept(folder):
     compiled = Compiled(_compiled_rotations.function)
     compiled(Foreign(), ANGLES, optimised=False)
     assert not list(folder.iterdir())
+
+
+def test_a_part_made_of_the_packages_own_is_kept():
+    """Cameras of two models in one block."""
+    function, both = _compiled_rotations.function, mixture((BROWN, DISTORTION_FREE))
+    assert programs.program_name(function, both, ANGLES, {}) is not None
 
 
 def test_other_shapes_and_settings_have_other_names():

@@ -272,6 +272,7 @@ def test_motion_along_the_axis():
     assert angle.max() < 1
 
 
+@pytest.mark.usefixtures("unchecked_types")  # wrong types on purpose
 def test_what_cannot_be_started():
     strips = aerial_block(1, 2, seed=5)
     with pytest.raises(TypeError):

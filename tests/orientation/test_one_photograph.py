@@ -62,6 +62,7 @@ def test_a_mirrored_image_is_told():
     assert bool(found.mirrored) and "mirrored" in found.words
 
 
+@pytest.mark.usefixtures("unchecked_types")  # shapes that do not fit
 @pytest.mark.parametrize(
     ("points", "xy", "message"),
     [

@@ -228,7 +228,7 @@ def test_scatter_is_the_covariance():
 
     f = found(a, b)
     truth = relative_orientation(DISTORTION_FREE, INTERIOR, first, second, sigmas, samples=8, robust=False)
-    d = np.asarray(f.elements - truth.elements)
+    d = np.asarray(f.elements) - np.asarray(truth.elements)
     good = np.abs(d).max(1) < 0.1  # a start from 8 samples may fail
     assert good.mean() > 0.95 and not f.used[:, 3].any() and (f.redundancy == 10).all()
     squares = np.einsum("ki,kij,kj->k", d, np.linalg.inv(np.asarray(f.cofactors)), d)[good]
@@ -241,6 +241,7 @@ def test_scatter_is_the_covariance():
     assert squares.mean() == pytest.approx(3.0, abs=0.25)
 
 
+@pytest.mark.usefixtures("unchecked_types")  # wrong types on purpose
 @pytest.mark.parametrize(
     ("change", "message"),
     [

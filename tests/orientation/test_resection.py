@@ -134,7 +134,7 @@ def test_three_points_and_a_start_have_no_redundancy():
 
 def test_large_coordinates():
     block, shift = one_image(POINTS, noise=0.5), np.array([400_000.0, 5_600_000.0, 300.0])
-    far = resected(eqx.tree_at(lambda b: b.object_points, block, block.object_points + shift))
+    far = resected(eqx.tree_at(lambda b: b.object_points, block, block.object_points + shift[None]))
     near = resected(block)
     np.testing.assert_allclose(far.projection_centre - shift, near.projection_centre, atol=1e-7)
     np.testing.assert_allclose(far.angles, near.angles, atol=1e-10)
@@ -149,7 +149,7 @@ def many(number: int, points: int = 6, noise: float = 0.5) -> tuple[jax.Array, j
     back = np.array([rotation[2], rotation[5], rotation[8]])  # the camera looks along -z, at the points
     centre = 1000.0 * back + rng.uniform(-50, 50, (3, number))
     on_x, on_y, on_z = jnp.asarray(x).swapaxes(0, 1)
-    p = photo_vector(rotation, tuple(centre), (on_x, on_y, on_z))
+    p = photo_vector(tuple(np.asarray(r)[None] for r in rotation), tuple(centre[:, None]), (on_x, on_y, on_z))
     v = DISTORTION_FREE.residual(tuple(INTERIORS[DISTORTION_FREE]), p, (jnp.zeros(()), jnp.zeros(())))
     measured = np.stack([v[0], -v[1]], -1)  # what the residual is at the point (0, 0); y up, v down
     measured = measured + noise * rng.standard_normal(measured.shape)
@@ -181,8 +181,8 @@ def test_many_images_at_once_from_nothing(over_images):
 def test_over_observations_and_over_cameras():
     """The object points are the same for all."""
     x, xy, _ = many(1)
-    draws = xy[0] + 0.3 * jax.random.normal(jax.random.key(0), (3, 6, 2))
-    interiors = INTERIOR + jnp.array([[0.0], [0.05], [-0.05]]) * jnp.eye(5)[0]
+    draws = xy[:1] + 0.3 * jax.random.normal(jax.random.key(0), (3, 6, 2))
+    interiors = INTERIOR[None] + jnp.array([[0.0], [0.05], [-0.05]]) * jnp.eye(5)[:1]
     found = jax.vmap(lambda i, xy: resection(DISTORTION_FREE, i, x[0], xy))(interiors, draws)
     for k in (1, 2):
         alone = resection(DISTORTION_FREE, interiors[k], x[0], draws[k])
@@ -277,6 +277,7 @@ def test_an_image_below_its_points_is_no_result():
     assert "converged" not in below.words.replace("not converged", "")
 
 
+@pytest.mark.usefixtures("unchecked_types")  # wrong types on purpose
 @pytest.mark.parametrize(
     ("change", "message"),
     [

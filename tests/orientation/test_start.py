@@ -122,7 +122,9 @@ def test_points_at_the_origin_are_intersected(simulated):
 
 
 def test_mirrored_images_are_not_repaired(simulated):
-    mirrored = eqx.tree_at(lambda b: b.rays.coordinates, simulated, simulated.rays.coordinates * jnp.array([1.0, -1.0]))
+    mirrored = eqx.tree_at(
+        lambda b: b.rays.coordinates, simulated, simulated.rays.coordinates * jnp.array([[1.0, -1.0]])
+    )
     checked, found = with_checked_start(mirrored)
     assert checked is mirrored
     assert found == ()

@@ -134,6 +134,7 @@ def test_no_solution_is_missed():
     assert total > 40
 
 
+@pytest.mark.usefixtures("unchecked_types")  # wrong types on purpose
 def test_shapes_are_told():
     with pytest.raises(ValueError, match=r"shape \(4, 3\) and directions of shape \(3, 3\); give"):
         three_point_resection(np.zeros((4, 3)), np.zeros((3, 3)))

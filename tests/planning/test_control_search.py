@@ -78,6 +78,7 @@ def test_capped_simplex():
     assert z[1] - z[2] == pytest.approx(0.1)
 
 
+@pytest.mark.usefixtures("unchecked_types")  # wrong types on purpose
 @pytest.mark.parametrize(
     ("call", "message"),
     [

@@ -1,7 +1,8 @@
 """Derivatives through the adjustment: implicit = central differences, transposed = forward."""
 
 import dataclasses
-from functools import partial
+from collections.abc import Callable
+from typing import Any
 
 import equinox as eqx
 import jax
@@ -26,6 +27,8 @@ LEAVES = {  # what is varied, and by how much at once
     "distance sigma": (lambda b: b.groups[1].sigmas, 0.001),
     "constant": (lambda b: b.groups[2].constants, 1e-5),
 }
+START = jnp.zeros(len(LEAVES))
+ALL = jnp.cos(jnp.arange(len(LEAVES), dtype=float))  # a direction in which all leaves vary
 RNG = np.random.default_rng(5)
 BLOCK = jb.blocks.with_datum(bent_block(noise=3.0))
 DIRECTIONS = {name: jnp.asarray(step * RNG.standard_normal(get(BLOCK).shape)) for name, (get, step) in LEAVES.items()}
@@ -46,7 +49,7 @@ def varied(t: Float[Array, " leaf"]) -> jb.Block:
 
 def mixed(x: Array) -> Array:
     """A sum of all numbers with different weights."""
-    return jnp.sum(x * jnp.cos(1.0 + jnp.arange(x.size)).reshape(x.shape))
+    return jnp.sum(x * jnp.cos(1.0 + jnp.arange(x.size, dtype=float)).reshape(x.shape))
 
 
 @jax.jit
@@ -78,11 +81,13 @@ def numbers(result: jb.Adjustment) -> dict[str, Array]:
     }
 
 
-def adjusted(
-    t: Float[Array, " leaf"], precision: bool = True, derivatives: Derivatives = "exact", devices: int = 1
-) -> dict[str, Array]:
-    block = varied(t)
-    return numbers(jb.adjust(block, stop=SHARP, precision=precision, derivatives=derivatives, devices=devices))
+def adjusted(t: Float[Array, " leaf"], precision: bool = True, derivatives: Derivatives = "exact") -> dict[str, Array]:
+    return numbers(jb.adjust(varied(t), stop=SHARP, precision=precision, derivatives=derivatives))
+
+
+def along_all(function: Callable[[Array], Any]) -> Any:
+    """Its derivative at the block in one direction."""
+    return jax.tree.map(np.asarray, jax.jvp(function, (START,), (ALL,))[1])
 
 
 @pytest.fixture(scope="module")
@@ -96,8 +101,16 @@ def differences() -> dict[str, np.ndarray]:
 
 
 @pytest.fixture(scope="module")
-def forward() -> dict[str, np.ndarray]:
-    return jax.tree.map(np.asarray, jax.jacfwd(adjusted)(jnp.zeros(len(LEAVES))))
+def linear() -> Callable[[Array], dict[str, Array]]:
+    """All numbers as a linear function of the steps, as every derivative of first order makes it."""
+    return jax.linearize(adjusted, START)[1]
+
+
+@pytest.fixture(scope="module")
+def forward(linear) -> dict[str, np.ndarray]:
+    along = jax.jit(linear)
+    columns = [along(unit) for unit in jnp.eye(len(LEAVES))]
+    return {name: np.array([float(column[name]) for column in columns]) for name in columns[0]}
 
 
 def test_exact_derivatives_are_those_of_differences(differences, forward):
@@ -105,75 +118,68 @@ def test_exact_derivatives_are_those_of_differences(differences, forward):
         np.testing.assert_allclose(forward[name], expected, rtol=1e-6, atol=1e-7 * np.abs(expected).max(), err_msg=name)
 
 
-def test_reverse_mode_gives_the_same(forward):
-    backward = jax.jacrev(adjusted)(jnp.zeros(len(LEAVES)))
-    for name, expected in forward.items():
+def test_reverse_mode_gives_the_same(linear, forward):
+    transposed = jax.jit(jax.linear_transpose(linear, START))
+    for unit, (name, expected) in zip(jnp.eye(len(forward)), forward.items(), strict=True):
+        (backward,) = transposed(dict(zip(forward, unit, strict=True)))
         atol = 1e-10 * np.abs(expected).max()
-        np.testing.assert_allclose(backward[name], expected, rtol=1e-10, atol=atol, err_msg=name)
+        np.testing.assert_allclose(backward, expected, rtol=1e-10, atol=atol, err_msg=name)
 
 
-@pytest.mark.parametrize("devices", [pytest.param(1, marks=pytest.mark.thorough), 2])
-def test_precision_of_large_blocks_by_the_engine(forward, monkeypatch, devices):
-    """Forward through the elimination and transposed by hand, as where the whole of Q would be too large."""
+@pytest.mark.thorough
+def test_precision_of_large_blocks_by_the_engine(forward, monkeypatch):
+    """Forward through the elimination and transposed by hand, as where the whole of Q would be too large.
+
+    Several directions at once, as in jacfwd and jacrev.
+    """
     monkeypatch.setattr(implicit_precision, "MAX_UNKNOWNS", 0)
-    of = partial(adjusted, devices=devices)
-    backward = jax.jacrev(of)(jnp.zeros(len(LEAVES)))
-    direction = jnp.cos(jnp.arange(len(LEAVES)))
-    _, along = jax.jvp(of, (jnp.zeros(len(LEAVES)),), (direction,)) if devices == 1 else (None, {})
-    for name, expected in forward.items():
-        atol = 1e-9 * np.abs(expected).max()
-        np.testing.assert_allclose(backward[name], expected, rtol=1e-9, atol=atol, err_msg=name)
-        np.testing.assert_allclose(along.get(name, expected @ direction), expected @ direction, rtol=1e-9, atol=atol)
+    _, linear = jax.linearize(adjusted, START)
+    size = {name: np.abs(expected).max() for name, expected in forward.items()}
+    directions = np.stack([ALL, 1.0 - ALL])
+    along = jax.jit(jax.vmap(linear))(jnp.asarray(directions))
+    for name, column in forward.items():
+        np.testing.assert_allclose(along[name], directions @ column, rtol=1e-9, atol=1e-9 * size[name], err_msg=name)
+    factors = {name: np.cos(1.0 + k + np.arange(2.0)) / size[name] for k, name in enumerate(forward)}
+    (backward,) = jax.jit(jax.vmap(jax.linear_transpose(linear, START)))(jax.tree.map(jnp.asarray, factors))
+    expected = sum(np.outer(factors[name], forward[name]) for name in forward)
+    np.testing.assert_allclose(backward, expected, rtol=1e-9, atol=1e-9)
 
 
 def test_exact_derivatives_beat_gauss_newton(differences, forward):
     """With residuals of three sigmas the second derivatives count."""
-    without = jax.jacrev(partial(adjusted, precision=False, derivatives="gauss-newton"))(jnp.zeros(len(LEAVES)))
+    without = along_all(lambda t: adjusted(t, precision=False, derivatives="gauss-newton"))
     exact, gauss_newton = (
-        max(np.abs(found[k] - differences[k]).max() / np.abs(differences[k]).max() for k in ("points", "angles"))
-        for found in (forward, without)
+        max(np.abs(found[k] - differences[k] @ ALL).max() / np.abs(differences[k]).max() for k in ("points", "angles"))
+        for found in ({k: forward[k] @ ALL for k in forward}, without)
     )
     assert exact < 1e-7 and gauss_newton > 1e-4
 
 
-def test_second_derivatives():
-    """Of the coordinates by two of the given, against differences of the first ones."""
-
-    def heights(t: Float[Array, "2"]) -> Array:
-        return adjusted(jnp.zeros(len(LEAVES)).at[np.array([0, 3])].set(t), False)["points"]
-
-    gradient, unit = jax.grad(heights), jnp.array([0.0, 1.0])
-    one, two = (gradient(step * unit) - gradient(-step * unit) for step in (0.5, 1.0))
-    _, second = jax.jvp(gradient, (jnp.zeros(2),), (unit,))
-    np.testing.assert_allclose(second, (8 * one - two) / 6, rtol=1e-5)
-
-
-def test_second_derivatives_of_the_precision_of_large_blocks_are_refused(monkeypatch):
-    monkeypatch.setattr(implicit_precision, "MAX_UNKNOWNS", 0)
-    start = jnp.zeros(len(LEAVES))
-
-    def scatter(t: Float[Array, " leaf"]) -> Array:
-        return adjusted(t)["sd of points"]
-
-    for second in (jax.jacfwd(jax.jacfwd(scatter)), jax.grad(lambda t: jax.grad(scatter)(t)[0])):
-        with pytest.raises(ValueError, match=r"have no second derivatives: call adjust\(\.\.\., precision=False\)"):
-            jax.eval_shape(second, start)
-
-
-def test_under_jit(forward):
-    compiled = jax.jit(jax.grad(lambda t: adjusted(t, False)["sigma0"]))(jnp.zeros(len(LEAVES)))
-    np.testing.assert_allclose(compiled, forward["sigma0"], rtol=1e-8)
-
-
 def test_no_derivative_without_a_minimum():
     """Stopped on its way, an adjustment is no function of what was given: no number is a derivative."""
-    far = eqx.tree_at(lambda b: b.object_points, BLOCK, BLOCK.object_points + 20.0)
 
-    def height(shift: float) -> Array:
-        moved = eqx.tree_at(lambda b: b.groups[0].values, far, far.groups[0].values + shift)
-        return jb.adjust(moved, max_iterations=1, precision=False).block.object_points[0, 2]
+    def heights(t: Float[Array, " leaf"]) -> Array:
+        block = varied(t)
+        far = eqx.tree_at(lambda b: b.object_points, block, block.object_points + 20.0)
+        stopped = jb.adjust(far, max_iterations=1, stop=SHARP, precision=False, derivatives="gauss-newton")
+        return stopped.block.object_points[:, 2]
 
-    assert np.isnan(jax.grad(height)(0.0))
+    assert np.isnan(along_all(heights)).all()
+
+
+def test_under_jit_and_second_derivatives(forward):
+    """Of the coordinates by two of the given, against differences of the first ones; one program for all points."""
+    chosen = np.array([0, 3])
+
+    def heights(t: Float[Array, "2"]) -> Array:
+        return adjusted(START.at[chosen].set(t), False)["points"]
+
+    unit = jnp.array([0.0, 1.0])
+    both = jax.jit(lambda t: jax.jvp(jax.grad(heights), (t,), (unit,)))
+    gradient, second = both(jnp.zeros(2))
+    np.testing.assert_allclose(gradient, forward["points"][chosen], rtol=1e-8)
+    one, two = (both(step * unit)[0] - both(-step * unit)[0] for step in (0.5, 1.0))
+    np.testing.assert_allclose(second, (8 * one - two) / 6, rtol=1e-5)
 
 
 def test_what_has_no_derivatives_says_so():
@@ -187,17 +193,38 @@ def test_what_has_no_derivatives_says_so():
         jb.adjust(BLOCK, derivatives="by hand")  # pyright: ignore[reportArgumentType]
 
 
-def test_the_datum_is_chosen_under_grad_but_not_under_jit():
-    """Under grad alone the values are known."""
+def bare(factor: float) -> jb.Block:
+    """Rays alone, with larger sigmas."""
     structure = dataclasses.replace(BLOCK.structure, datum=jb.blocks.Datum("open"))
-    bare = dataclasses.replace(BLOCK, structure=structure, groups=())
+    block = dataclasses.replace(BLOCK, structure=structure, groups=())
+    return eqx.tree_at(lambda b: b.rays.sigmas, block, factor * block.rays.sigmas)
+
+
+def test_the_datum_is_chosen_under_grad_but_not_under_jit():
+    """Under grad alone the values are known: a phase after the choice is reached."""
+
+    class Chosen(Exception):
+        pass
+
+    def planned(phase: str) -> None:
+        if phase == "planning":
+            raise Chosen
 
     def sigma0(factor: float) -> Array:
-        return jb.adjust(eqx.tree_at(lambda b: b.rays.sigmas, bare, factor * bare.rays.sigmas), precision=False).sigma0
+        return jb.adjust(bare(factor), precision=False, phase=planned).sigma0
 
-    np.testing.assert_allclose(jax.grad(sigma0)(1.0), -sigma0(1.0), rtol=1e-9)
+    with pytest.raises(Chosen):
+        jax.grad(sigma0)(1.0)
     with pytest.raises(ValueError, match="the datum is chosen before tracing"):
         jax.jit(jax.grad(sigma0))(1.0)
+
+
+@pytest.mark.thorough
+def test_derivatives_with_the_datum_that_is_chosen():
+    def sigma0(factor: float) -> Array:
+        return jb.adjust(bare(factor), precision=False).sigma0
+
+    np.testing.assert_allclose(jax.grad(sigma0)(1.0), -sigma0(1.0), rtol=1e-9)
 
 
 def test_a_free_network_says_why_it_has_none():

@@ -1,5 +1,6 @@
 """The points dealt to the devices of two processes: the same answer in both as on one device."""
 
+import json
 import os
 import signal
 import socket
@@ -12,12 +13,13 @@ import numpy as np
 import pytest
 import typer
 from cases.simulated_blocks import long_block, small_block
-from distributed_worker import SOLVERS, found
+from distributed_worker import found
 
 from jaxbundle.cli import runtime
 from jaxbundle.cli.cluster import Cluster, cluster_of
 from jaxbundle.cli.codes import Code, LostProcess, told
-from jaxbundle.io import write_block_folder
+from jaxbundle.io import read, write_block_folder
+from jaxbundle.normals.plan.reduced_plan import Method
 from jaxbundle.solve.adjust import adjust
 
 ROOT = Path(__file__).parents[2]
@@ -50,52 +52,45 @@ def together(commands: list[list[str]]) -> list[tuple[int, str]]:
     return [(p.returncode, out) for p, out in ((p, p.communicate()[0]) for p in running)]
 
 
-def adjusted_by_two(folder: Path, seeds: tuple[int, int]) -> list[tuple[int, str]]:
-    address = free_address()
-    common = [sys.executable, str(WORKER), address, "2"]
-    return together([[*common, str(k), str(folder / f"{k}.npz"), str(seed)] for k, seed in enumerate(seeds)])
+def adjusted_by_two(folder: Path, blocks: tuple[Path, Path], solver: str) -> list[tuple[int, str]]:
+    common = ["--coordinator", free_address(), "--processes", "2", "--reduced", solver]
+    common += ["--checkpoint", str(folder / "state")]
+    return together(
+        [
+            [sys.executable, str(WORKER), str(folder / f"{k}.npz"), "adjust", str(block), *common]
+            + ["--out", str(folder / str(k)), "--process", str(k)]
+            for k, block in enumerate(blocks)
+        ]
+    )
 
 
-def test_two_processes_give_the_answer_of_one(tmp_path: Path) -> None:
-    for code, output in adjusted_by_two(tmp_path, (4, 4)):
+@pytest.mark.parametrize("solver", ["panels", pytest.param("dense", marks=pytest.mark.thorough)])
+def test_two_processes_give_the_answer_of_one_which_the_first_writes(tmp_path: Path, solver: Method) -> None:
+    folder = tmp_path / "block"
+    write_block_folder(long_block().block, folder)
+    processes = adjusted_by_two(tmp_path, (folder, folder), solver)
+    for code, output in processes:
         assert code == 0, output
     first, second = (np.load(tmp_path / f"{k}.npz") for k in range(2))
-    alone = found(adjust(long_block().block, devices=1, reduced="panels"))
-    assert {name for name in first.files if name.startswith("panels")} == {f"panels {name}" for name in alone}
-    for name in first.files:
+    alone = found(adjust(read(folder), devices=1, reduced=solver))
+    assert set(first.files) == set(second.files) == set(alone)
+    for name, value in alone.items():
         np.testing.assert_array_equal(second[name], first[name], name)
-        value = alone[name.split(maxsplit=1)[1]]
         # residuals are small differences of large numbers: of the size of the image, not of their own
-        size = 1e4 if name.endswith("residuals") else np.abs(value).max()
+        size = 1e4 if name == "residuals" else np.abs(value).max()
         np.testing.assert_allclose(first[name], value, rtol=0, atol=1e-12 * size, err_msg=name)
-    assert {name.split()[0] for name in first.files} == set(SOLVERS)
+    assert "sigma0" in processes[0][1] and "sigma0" not in processes[1][1]
+    assert (tmp_path / "0" / "report.txt").exists() and not (tmp_path / "1").exists()
+    assert json.loads((tmp_path / "0" / "report.json").read_text())["sigma0"] == float(first["sigma0"])
 
 
 def test_two_processes_with_different_blocks_say_so(tmp_path: Path) -> None:
-    for code, output in adjusted_by_two(tmp_path, (4, 5)):
-        assert code == 1
+    blocks = tmp_path / "4", tmp_path / "5"
+    for block in blocks:
+        write_block_folder(long_block(int(block.name)).block, block)
+    for code, output in adjusted_by_two(tmp_path, blocks, "panels"):
+        assert code == Code.BAD_INPUT
         assert "the 2 processes adjust different blocks" in output
-
-
-def test_the_first_process_of_a_cluster_writes(tmp_path: Path) -> None:
-    write_block_folder(small_block().block, tmp_path / "block")
-    address = free_address()
-    command = [
-        sys.executable,
-        "-c",
-        CLI,
-        "30",
-        "adjust",
-        str(tmp_path / "block"),
-        "--no-precision",
-        "--coordinator",
-        address,
-    ]
-    command += ["--processes", "2", "--checkpoint", str(tmp_path / "state")]
-    first, second = together([[*command, "--out", str(tmp_path / str(k)), "--process", str(k)] for k in range(2)])
-    assert (first[0], second[0]) == (0, 0), first[1] + second[1]
-    assert "sigma0" in first[1] and "sigma0" not in second[1]
-    assert (tmp_path / "0" / "report.txt").exists() and not (tmp_path / "1").exists()
 
 
 def test_a_process_that_fails_ends_the_others(tmp_path: Path) -> None:

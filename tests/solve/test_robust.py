@@ -33,10 +33,14 @@ def spoilt(clean):
     return eqx.tree_at(lambda b: b.rays.coordinates, clean, clean.rays.coordinates + errors), bad
 
 
+@pytest.fixture(scope="module")
+def reference(clean):
+    return adjust(clean)
+
+
 @pytest.mark.parametrize("name", WEIGHT_FUNCTIONS)
-def test_all_gross_errors_are_found(clean, spoilt, name):
+def test_all_gross_errors_are_found(clean, reference, spoilt, name):
     block, bad = spoilt
-    reference = adjust(clean)
     robust = adjust(block, robust=WEIGHT_FUNCTIONS[name]())
     assert robust.reweighting is not None
     weights = np.asarray(robust.reweighting.weights)
@@ -53,11 +57,11 @@ def test_all_gross_errors_are_found(clean, spoilt, name):
 
 
 def test_least_squares_is_never_robust_by_itself(spoilt):
-    assert adjust(spoilt[0], precision=False).reweighting is None
+    assert adjust(spoilt[0]).reweighting is None
 
 
 def test_clean_block_keeps_its_weights(clean):
-    reweighting = adjust(clean, robust=Tukey(), precision=False).reweighting
+    reweighting = adjust(clean, robust=Tukey()).reweighting
     assert reweighting is not None
     weights = np.asarray(reweighting.weights)
     assert (weights < 0.5).mean() < 0.05 and weights.mean() > 0.9
@@ -65,7 +69,7 @@ def test_clean_block_keeps_its_weights(clean):
 
 def test_weights_that_do_not_settle_are_told(spoilt, monkeypatch):
     monkeypatch.setattr(solve_reweighting, "MAX_ROUNDS", 2)
-    reweighting = adjust(spoilt[0], robust=Huber(), precision=False).reweighting
+    reweighting = adjust(spoilt[0], robust=Huber()).reweighting
     assert reweighting is not None and reweighting.rounds == 2 and not reweighting.settled
 
 

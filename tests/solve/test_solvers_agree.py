@@ -111,6 +111,7 @@ def test_stopping_rules(block, reference, name):
     assert off(found.block, reference) < 0.05
 
 
+@pytest.mark.usefixtures("unchecked_types")  # wrong types on purpose
 def test_unknown_names_are_refused(block):
     with pytest.raises(ValueError, match="K9 of camera"):
         unknown_rule(block, 1e-6, ("camera", "K9"))

@@ -53,6 +53,7 @@ def test_a_group_may_be_freed_later(block):
     np.testing.assert_allclose(found.sigmas, again.sigmas, rtol=1e-3)
 
 
+@pytest.mark.usefixtures("unchecked_types")  # wrong types on purpose
 def test_what_is_not_asked_for(block):
     found = variance_components(block, [image_coordinates(block)], precision=False)
     assert found.names == ("image coordinates", "other observations") and found.held == ("", REST)
@@ -119,6 +120,7 @@ def test_correlated_components_are_scaled_together():
         variance_components(block, [heights])
 
 
+@pytest.mark.usefixtures("unchecked_types")  # wrong types on purpose
 def test_refusals(block):
     with pytest.raises(ValueError, match="no form 'mixed'"):
         variance_components(block, form="mixed")  # pyright: ignore[reportArgumentType]

@@ -190,6 +190,7 @@ def test_wrong_control_is_claimed_exact():
     assert "some sigmas are too small" in found.summary()
 
 
+@pytest.mark.usefixtures("unchecked_types")  # wrong types on purpose
 def test_refusals(adjustment):
     block = adjustment.block
     with pytest.raises(ValueError, match="control means observations other than image coordinates"):

@@ -118,14 +118,14 @@ def test_constants():
         critical_tau(1)
 
 
-def test_reliability_needs_redundancy_numbers(truth):
-    with pytest.raises(ValueError, match="precision=True"):
-        reliability(adjust(truth, precision=False))
-
-
 @pytest.fixture(scope="module")
 def clean_block():
     return simulate(2, 4, forward_overlap=0.7, points_per_image=60, control_rows=4, control_sigma=0.05, seed=6).block
+
+
+def test_reliability_needs_redundancy_numbers(clean_block):
+    with pytest.raises(ValueError, match="precision=True"):
+        reliability(adjust(clean_block, precision=False))
 
 
 def test_gross_errors_in_rays_and_control_are_found_and_named(clean_block):

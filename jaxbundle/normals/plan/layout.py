@@ -53,8 +53,13 @@ class Layout(NamedTuple):
 
     def camera_rows(self, camera: Any) -> Any:
         """Border rows of shared cameras: (..., element)."""
-        return self.shared * camera[..., None] + np.arange(self.shared)
+        return _consecutive(self.shared * camera, self.shared)
 
     def point_rows(self, point: Any) -> Any:
         """Border rows of border points, with indices relative to the first of them: (..., 3)."""
-        return self.first_point + 3 * point[..., None] + np.arange(3)
+        return self.first_point + _consecutive(3 * point, 3)
+
+
+def _consecutive(first: Any, count: int) -> Any:
+    """`count` consecutive integers from each of an array of first ones, along a new last axis."""
+    return first[..., None] + np.arange(count, dtype=first.dtype).reshape((1,) * first.ndim + (count,))

@@ -15,6 +15,8 @@ from jaxbundle.numerics.shapes import grid_size
 
 DENSE_TABLE = 4096  # number of images above which pairs are looked up by bisection
 
+FEWEST_ENTRIES = 8192  # padded number of pairs of slots: small blocks share a program
+
 Finder = Callable[[Any, Any], Any]
 
 
@@ -77,7 +79,7 @@ def class_pairs(plan: Tiling, find: Finder, waste: int) -> ClassPairs:
         offset[g, c] = total + np.arange(len(g)) * SLOTS * slots
         total += len(g) * SLOTS * slots
         lists.append(find(image[:, :, None], image[:, None, :]).ravel())
-    pad = grid_size(total + SLOTS * SLOTS) - total  # a chunk may read beyond its last tile
+    pad = grid_size(total + SLOTS * SLOTS, FEWEST_ENTRIES) - total  # a chunk may read beyond its last tile
     pair = np.concatenate([*lists, np.full(pad, waste)])
     kind = np.where(size > 0, np.searchsorted(CLASSES, size), 0)
     return ClassPairs(*(x.astype(np.int32) for x in (kind, offset, pair)))

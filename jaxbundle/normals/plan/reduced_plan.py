@@ -15,6 +15,7 @@ from jaxbundle.numerics.shapes import grid_size
 Method = Literal["auto", "dense", "panels", "pcg"]
 MAX_FACTOR = 4e9  # bytes; a larger matrix is not formed if its inverse is not needed
 DENSE_UNKNOWNS = 160  # measured: up to this size one dense matrix is as fast as tiles, and compiles in half the time
+FEWEST_BLOCKS = 64  # padded number: small blocks share a program
 SMALL_UNKNOWNS, SMALL_ROWS, ROWS = 2500, 72, 144  # measured: 72 rows per tile are faster up to 2500 unknowns, 144 above
 
 
@@ -75,7 +76,7 @@ def reduced_plan(
     pairs = ranked_pairs(pairs, order.rank)
     if method == "pcg":
         pairs = pairs[pairs[:, 0] == pairs[:, 1]]
-    padded, blocks = grid_size(images + 1), grid_size(len(pairs) + 1)
+    padded, blocks = grid_size(images + 1), grid_size(len(pairs) + 1, FEWEST_BLOCKS)
     padded_pairs = np.full((blocks, 2), padded, np.int32)
     padded_pairs[: len(pairs)] = pairs
     panels = None if method == "dense" else symbolic(pairs, order, q, devices, images=padded, blocks=blocks)

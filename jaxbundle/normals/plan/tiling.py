@@ -29,6 +29,7 @@ from jaxbundle.numerics.shapes import grid_size
 SLOTS = 48
 CLASSES = (2, 3, 4, 6, 8, 12, 16, 24, 48)  # classes: divisors of SLOTS
 MAX_TILES = SLOTS // CLASSES[0]  # image slots of a chunk
+FEWEST_TILES = 64  # padded number: small blocks share a program
 CUTS = 4  # number of positions where a tile may be split, at a jump of the curve
 MORTON_BITS = 12
 CELLS_AT_ONCE = 200_000_000  # limits the memory of the table of tiles and images
@@ -235,7 +236,8 @@ def laid_out(
         slot_tile,
         ray,
         places.chunks,
-        grid_size(int(places.number.max()) + 1 + max_tiles),  # each chunk is processed with the maximum number of tiles
+        # each chunk is processed with the maximum number of tiles
+        grid_size(int(places.number.max()) + 1 + max_tiles, FEWEST_TILES),
         max_tiles,
         group,
     )

@@ -31,11 +31,13 @@ class Axes:
 
     def u(self, x: np.ndarray | float) -> Float[np.ndarray, "..."]:
         """Horizontal picture coordinates of values."""
-        return self.left + _share(x, self.x, self.log_x) * (self.width - self.left - self.right)
+        share = _share(x, self.x, self.log_x)
+        return np.asarray(self.left + share * (self.width - self.left - self.right))
 
     def v(self, y: np.ndarray | float) -> Float[np.ndarray, "..."]:
         """Vertical picture coordinates of values, downwards."""
-        return self.height - self.bottom - _share(y, self.y, self.log_y) * (self.height - self.top - self.bottom)
+        share = _share(y, self.y, self.log_y)
+        return np.asarray(self.height - self.bottom - share * (self.height - self.top - self.bottom))
 
     @property
     def scale(self) -> float:
@@ -78,14 +80,14 @@ class Axes:
         return tag("path", d="".join(steps), class_=kind) if steps else ""
 
 
-def _share(values: np.ndarray | float, bounds: tuple[float, float], log: bool) -> np.ndarray:
+def _share(values: np.ndarray | float, bounds: tuple[float, float], log: bool) -> Float[np.ndarray, "..."]:
     low, high = bounds
     values = np.asarray(values, float)
     if log:
         with np.errstate(all="ignore"):
             values = np.log10(np.maximum(values, LOG_FLOOR))
         low, high = math.log10(low), math.log10(high)
-    return np.clip((values - low) / (high - low), -0.5, 1.5)
+    return np.asarray(np.clip((values - low) / (high - low), -0.5, 1.5))
 
 
 def _ticks(bounds: tuple[float, float], log: bool, count: int) -> list[tuple[float, str]]:
