@@ -121,7 +121,9 @@ def test_block_folder_with_attitudes_and_control(photos, tmp_path):
     own = own._replace(photos=(own.photos[0]._replace(xmp=recorded), *own.photos[1:]))
     rays = MeasuredRays(np.arange(3), np.zeros(3, int), np.zeros((3, 2)), np.full((3, 2), 0.1), {})
     points = (Known("1", (500.0, 700.0, np.nan), (0.02, 0.02, 0.03)),)
-    marks = ControlMarks(points, np.array([1, 2]), np.array([0, 0]), np.array([[5.0, 6.0], [7.0, 8.0]]), np.zeros(2, int))
+    marks = ControlMarks(
+        points, np.array([1, 2]), np.array([0, 0]), np.array([[5.0, 6.0], [7.0, 8.0]]), np.zeros(2, int)
+    )
     stations = np.array([[0.0, 0, 100], [10, 0, 100], [np.nan] * 3])
     write_measured(tmp_path / "b", own, rays, stations, StationSigmas(), observed=Observed(marks, 3.0))
     tables = {path.name: path.read_text().splitlines() for path in (tmp_path / "b").iterdir()}
