@@ -1,4 +1,4 @@
-"""Marks of control points in photographs: read from a list, measured again, written with the block."""
+"""Marks of control points in photographs: read from a list, remeasured, written with the block."""
 
 import numpy as np
 import pytest
