@@ -57,7 +57,7 @@ def measure(
         typer.Option(help="Control with marks in the photographs: gcp_list.txt.", show_default=False),
     ] = None,
     remeasure: Annotated[
-        bool, typer.Option("--remeasure", help="Measure the marks of --control again by matching.")
+        bool, typer.Option("--remeasure", help="Remeasure the marks of --control by matching.")
     ] = False,
     attitude_sigma: Annotated[
         float | None,
@@ -78,7 +78,7 @@ def measure(
     if not images:
         raise typer.BadParameter("give photographs or folders of them")
     if remeasure and control is None:
-        raise typer.BadParameter("--remeasure needs --control; --refine BLOCK measures all rays of a block again")
+        raise typer.BadParameter("--remeasure needs --control; --refine BLOCK remeasures all rays of a block")
     wanted = measuring.Wanted(
         images,
         out,

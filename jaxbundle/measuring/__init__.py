@@ -9,7 +9,7 @@ which has no orientation of pairs, `approximate`, which has no images, and `io`.
     stations, in the system of the control                      stations
     pairs verified by their relative orientation, in files      verify, pair_files
     rays of tracks by least-squares matching                    measured_rays
-    marks of control points, re-measured                     control_marks
+    marks of control points, remeasured                         control_marks
     the block folder                                            measured_folder
     the whole process, from photographs to block folder                 measurement
 """

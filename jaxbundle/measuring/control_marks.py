@@ -1,4 +1,4 @@
-"""Control points that were marked by hand in photographs, and their marks re-measured by matching.
+"""Control points that were marked by hand in photographs, and their marks remeasured by matching.
 
 Marks of one point have errors of about a pixel each. One of them gives the template, which is matched in the other
 images with the affine map of neighbouring tie points. The matches agree within a few hundredths of a pixel, so all of
@@ -28,7 +28,7 @@ from jaxbundle.measuring.measured_rays import COARSE, FINE, MeasuredRays
 MARK_SIGMA = 1.0  # px: marks set by hand, and the definition of targets
 HALF = 15  # px: windows of 31 x 31, larger than the centre of a painted cross; targets are flat
 FROM_LEVEL = 1  # marks that are wrong by several pixels are found on this level
-BY_HAND = -1  # status of a mark that was not re-measured
+BY_HAND = -1  # status of a mark that was not remeasured
 
 
 class ControlMarks(NamedTuple):
@@ -82,7 +82,7 @@ def _rows(control: GroundControl) -> list[tuple[tuple[str, float, float], str]]:
 def remeasured(
     images: GreyImages, marks: ControlMarks, rays: MeasuredRays, sizes: Sequence[tuple[int, int]]
 ) -> ControlMarks:
-    """The marks re-measured by matching; a mark whose match is refused is unchanged.
+    """The marks remeasured by matching; a mark whose match is refused is unchanged.
 
     Args:
         images: the pyramids by the indices of the photographs.
@@ -144,7 +144,7 @@ def _affine(rays: MeasuredRays, marks: ControlMarks, template: int, other: int) 
 
 def _told(status: Int[np.ndarray, " mark"], differences: Sequence[Float[np.ndarray, "mark 2"]]) -> Finding:
     measured = int((status == Refusal.MATCHED).sum())
-    what = f"{measured} of {len(status)} marks of control were re-measured by matching"
+    what = f"{measured} of {len(status)} marks of control were remeasured by matching"
     if differences:
         rms = float(np.sqrt(np.mean(np.concatenate(differences) ** 2)))
         what += f"; marks and matches differ by {rms:.2f} px (rms)"

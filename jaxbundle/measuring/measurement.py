@@ -47,7 +47,7 @@ class MeasureOptions(NamedTuple):
     control: Path | None = None
     """Table of control with marks in the photographs, such as gcp_list.txt; the block gets its coordinate system."""
     remeasure: bool = False
-    """Whether the marks of the control are re-measured by matching."""
+    """Whether the marks of the control are remeasured by matching."""
     attitude_sigma: float | None = None
     """Standard deviation in degrees of the attitudes in the XMP data; None: they are not used."""
 

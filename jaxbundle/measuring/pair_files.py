@@ -1,7 +1,7 @@
 """Files of finished pairs of images, so that an interrupted measurement finds them again.
 
 A file has the matches of one pair, and a key of everything that they depend on. Another key means another measurement,
-and the pair is re-measured.
+and the pair is remeasured.
 """
 
 import hashlib

@@ -61,7 +61,7 @@ def verified_pairs(
         views: the images.
         scale: px of level 0 per px of the level of the features.
         done: a function that is called after each pair with its number and the total number.
-        folder: folder of the finished pairs, which are not re-measured; None stores nothing.
+        folder: folder of the finished pairs, which are not remeasured; None stores nothing.
     """
     pairs, found = neighbours(views), {}
     keys = [digest(view.features.xy, view.features.descriptors, view.interior) for view in views] if folder else []

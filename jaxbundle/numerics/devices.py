@@ -43,8 +43,8 @@ def dealt(value: Any, devices: int, axis: int = 0) -> Array:
 def copied(tree: Any, devices: int) -> Any:
     """Traced arrays, whole on each device.
 
-    XLA distributes a computation that is not written for several devices separately, and pads what it deals: transposed
-    derivatives of its padded parts were not finite (jaxlib 0.10.2).
+    For computations that are not written for several devices: where XLA divided one of them, its transposed derivatives
+    were not finite (jaxlib 0.10.2; the reason is not known).
     """
     if devices == 1:
         return tree

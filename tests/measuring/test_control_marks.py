@@ -1,4 +1,4 @@
-"""Marks of control points in photographs: read from a list, measured again, written with the block."""
+"""Marks of control points in photographs: read from a list, remeasured, written with the block."""
 
 import numpy as np
 import pytest
@@ -63,4 +63,4 @@ def test_marks_measured_again(listed):
     by_hand = (marks.xy + SHIFTS[marks.image]).reshape(4, 3, 2)[:3]
     assert np.abs(ground - ground.mean(1, keepdims=True)).max() < 0.03
     np.testing.assert_allclose(ground.mean(1), by_hand.mean(1), atol=0.02)
-    assert "11 of 12 marks of control were measured again by matching" in found.findings[-1].what
+    assert "11 of 12 marks of control were remeasured by matching" in found.findings[-1].what
