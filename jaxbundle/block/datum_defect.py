@@ -105,7 +105,7 @@ def _datum_rows(
     """
     o = observations
 
-    def carried(changes: Float[Array, " column"]) -> tuple[list[Float[Array, " row"]], ...]:
+    def carried(changes: Float[Array, " column"]) -> tuple[list[Float[Array, " _row"]], ...]:
         moved = transformed(unknowns, changes[:7], radius)
         moved = Unknowns(moved.rotation, moved.centre, moved.interior, moved.parameters + changes[7:], moved.points)
         angles = jnp.stack(o.system.angles_from_rotation(tuple(moved.rotation[:, held])))

@@ -124,7 +124,9 @@ def ray_residuals(unknowns: Unknowns, observations: Observations) -> Float[Array
     return jnp.stack(observations.model.residual(interior, vector, tuple(observations.coordinates)))
 
 
-def weighted_residuals(unknowns: Unknowns, observations: Observations) -> tuple[Float[Array, "component member"], ...]:
+def weighted_residuals(
+    unknowns: Unknowns, observations: Observations
+) -> tuple[Float[Array, "_component _member"], ...]:
     """Residuals over their sigmas: first the rays, then each group; 0 where not observed."""
     rays = ray_residuals(unknowns, observations) * observations.weights
     return rays, *(weighted(group_residuals(unknowns, group), group) for group in observations.groups)

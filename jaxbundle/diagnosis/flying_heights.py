@@ -55,7 +55,7 @@ def _vertical_cameras(block: Block) -> list[int]:
 
 
 def _distances_and_heights(
-    block: Block, cameras: list[int], images: list[Int[np.ndarray, " image"]]
+    block: Block, cameras: list[int], images: list[Int[np.ndarray, " _image"]]
 ) -> Float[Array, "camera 2"]:
     """Joint covariance of c and mean Z0 of each camera."""
     s, centres = block.structure, block.exterior.projection_centre

@@ -20,7 +20,7 @@ class Tracks(NamedTuple):
     point: Int[np.ndarray, " ray"]
 
 
-def tracks(counts: Sequence[int], pairs: Mapping[tuple[int, int], Int[np.ndarray, "match 2"]]) -> Tracks:
+def tracks(counts: Sequence[int], pairs: Mapping[tuple[int, int], Int[np.ndarray, "_match 2"]]) -> Tracks:
     """Joins the matches of all pairs of images to tracks.
 
     A track with two features of one image is contradictory and is left out.

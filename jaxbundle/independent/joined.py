@@ -60,7 +60,7 @@ class _State(NamedTuple):
 
 
 def joined(
-    models: Models, chain: list[int], covariances: dict[int, Float[np.ndarray, "point 3 3"]], rays: int
+    models: Models, chain: list[int], covariances: dict[int, Float[np.ndarray, "_point 3 3"]], rays: int
 ) -> tuple[Strip, ...]:
     """The strips of a chain of models, each the continuation of the one before; one strip unless a joint is weak.
 
@@ -159,7 +159,7 @@ def _strip(
     models: Models,
     part: list[int],
     states: list[_State],
-    covariances: dict[int, Float[np.ndarray, "point 3 3"]],
+    covariances: dict[int, Float[np.ndarray, "_point 3 3"]],
     scatter: float,
 ) -> Strip:
     """Points of all models of a strip in one system; the mean for a point in several models."""

@@ -23,7 +23,7 @@ from jaxbundle.io.ranges import NOTHING, SMALLEST_SIGMA
 from jaxbundle.io.schema import Column, TableSchema
 from jaxbundle.io.text_files import read_text
 
-Columns = Mapping[str, Sequence[str] | pl.Series | Float[np.ndarray, " row"]]
+Columns = Mapping[str, Sequence[str] | pl.Series | Float[np.ndarray, " _row"]]
 Rows = Sequence[int] | Int[np.ndarray, " noted"]
 Words = str | Callable[[int], str]  # of a row, or a function of the row number
 

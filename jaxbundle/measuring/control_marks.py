@@ -142,7 +142,7 @@ def _affine(rays: MeasuredRays, marks: ControlMarks, template: int, other: int) 
     return local_affine(rays.xy[one[i]], rays.xy[two[j]], marks.xy[template][None])[0]
 
 
-def _told(status: Int[np.ndarray, " mark"], differences: Sequence[Float[np.ndarray, "mark 2"]]) -> Finding:
+def _told(status: Int[np.ndarray, " mark"], differences: Sequence[Float[np.ndarray, "_mark 2"]]) -> Finding:
     measured = int((status == Refusal.MATCHED).sum())
     what = f"{measured} of {len(status)} marks of control were remeasured by matching"
     if differences:

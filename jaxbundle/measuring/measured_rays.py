@@ -29,7 +29,7 @@ class MeasuredRays(NamedTuple):
 
 
 def measured_rays(
-    images: GreyImages, found: Tracks, features: Sequence[Float[np.ndarray, "feature 2"]], level: int
+    images: GreyImages, found: Tracks, features: Sequence[Float[np.ndarray, "_feature 2"]], level: int
 ) -> MeasuredRays:
     """Measures tracks from the positions of a detector.
 

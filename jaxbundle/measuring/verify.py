@@ -33,7 +33,7 @@ class View(NamedTuple):
     """Name of the image, in the names of files of pairs."""
 
 
-Pairs = dict[tuple[int, int], Int[np.ndarray, "match 2"]]
+Pairs = dict[tuple[int, int], Int[np.ndarray, "_match 2"]]
 
 
 def neighbours(views: Sequence[View]) -> list[tuple[int, int]]:

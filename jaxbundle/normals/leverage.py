@@ -107,7 +107,7 @@ def border_ray_leverages(linear: Linearised, q: ReducedCofactors) -> list[Array]
 
 def group_leverages(
     linear: Linearised, q: ReducedCofactors, points: Float[Array, "3 3 point"]
-) -> list[Float[Array, "component member"]]:
+) -> list[Float[Array, "_component _member"]]:
     """Leverages of all components of all groups; `points`: cofactors of the eliminated points."""
     p, o, found = linear.problem, linear.problem.observations, []
     flat = linear.unknowns.flat() if o.groups else linear.unknowns.images

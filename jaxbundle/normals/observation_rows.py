@@ -38,7 +38,7 @@ class GroupRows(NamedTuple):
     """Weighted residuals and rows of a group; one entry of `rows` for each touched entity."""
 
     residuals: Float[Array, "component member"]
-    rows: tuple[Float[Array, "component parameter member"], ...]
+    rows: tuple[Float[Array, "_component _parameter _member"], ...]
 
 
 def no_sums(p: Problem, images: int) -> ReducedSums:

@@ -32,7 +32,7 @@ class CommonRays(NamedTuple):
     """Pairs of images and rays to their common points."""
 
     pairs: Int[np.ndarray, "pair 2"]
-    rays: tuple[Int[np.ndarray, "common 2"], ...]
+    rays: tuple[Int[np.ndarray, "_common 2"], ...]
     """For each pair all rays to common points, on both images."""
 
 

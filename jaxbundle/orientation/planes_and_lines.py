@@ -61,7 +61,7 @@ def _azimuths(block: Block, touches: tuple[str, ...], indices: Int[np.ndarray, "
 
 def _figures(
     indices: Int[np.ndarray, "member touched"], wanted: Int[np.ndarray, " row"]
-) -> Iterator[Int[np.ndarray, " member"]]:
+) -> Iterator[Int[np.ndarray, " _member"]]:
     """The members of each plane or line with a requested row."""
     for parameters in np.unique(indices[wanted, 1:], axis=0):
         yield np.flatnonzero((indices[:, 1:] == parameters).all(1))

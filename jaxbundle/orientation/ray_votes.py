@@ -39,7 +39,7 @@ def _vector(rows: Float[np.ndarray, "3 ray"]) -> Vector:
     return rows[0], rows[1], rows[2]
 
 
-def _groups(lengths: Int[np.ndarray, " pair"]) -> list[Int[np.ndarray, " chosen"]]:
+def _groups(lengths: Int[np.ndarray, " pair"]) -> list[Int[np.ndarray, " _chosen"]]:
     group = np.cumsum(lengths) // TOGETHER
     return np.split(np.arange(len(lengths)), np.flatnonzero(np.diff(group)) + 1) if len(lengths) else []
 

@@ -116,7 +116,7 @@ def _crossed(x: Float[np.ndarray, " column"], y: Float[np.ndarray, " row"]) -> F
 
 
 def _merged(
-    plan: FlightPlan, frame: Frame, sets: list[tuple[Float[np.ndarray, "of_set 2"], ControlSet]]
+    plan: FlightPlan, frame: Frame, sets: list[tuple[Float[np.ndarray, "_of_set 2"], ControlSet]]
 ) -> tuple[Float[np.ndarray, "control 2"], Float[np.ndarray, "control 3"]]:
     """Points of all layouts; points at the same position are merged, with the smaller sigmas."""
     found: dict[tuple[int, int], int] = {}

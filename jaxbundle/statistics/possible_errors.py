@@ -60,7 +60,7 @@ class _Collection:
     def __init__(self, block: Block, w: list[np.ndarray], computed: Sequence[np.ndarray]):
         self.block, self.w, self.computed, self.s = block, w, computed, block.structure
         self.columns: list[ErrorColumn] = []
-        self.combinations: list[tuple[Int[np.ndarray, " entry"], Float[np.ndarray, " entry"]]] = []
+        self.combinations: list[tuple[Int[np.ndarray, " _entry"], Float[np.ndarray, " _entry"]]] = []
         self.found: list[Hypothesis] = []
         self.at: dict[tuple[int, int], dict[int, int]] = {}  # table, member -> component -> column
         self.room = int(np.clip(NUMBERS / max(self.s.n_unknowns, 1), FEWEST_COLUMNS, MAX_COLUMNS))

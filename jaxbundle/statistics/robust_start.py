@@ -27,7 +27,7 @@ FIRST, THEN = 3, 3  # rounds
 LEAST = 1e-6  # weight
 NORMAL = 1.4826  # ratio of standard deviation and median of the absolute values of normal errors
 
-Members = tuple[Float[np.ndarray, " member"], ...]
+Members = tuple[Float[np.ndarray, " _member"], ...]
 
 
 class RobustPoint(NamedTuple):

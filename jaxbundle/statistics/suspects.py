@@ -154,7 +154,7 @@ class _State:
     hypotheses: Hypotheses
     selection: Selection
     accepted: list[int]
-    removed: dict[tuple, Float[np.ndarray, " component"]]
+    removed: dict[tuple, Float[np.ndarray, " _component"]]
     adjustment: Adjustment | None = None
 
     @classmethod
@@ -199,7 +199,7 @@ class _State:
         )
 
     @property
-    def sizes(self) -> dict[tuple, Float[np.ndarray, " component"]]:
+    def sizes(self) -> dict[tuple, Float[np.ndarray, " _component"]]:
         """Estimated sizes of the accepted errors, 1 for a known size; by the keys of their hypotheses."""
         estimated, _ = self.estimated
         return {self._of_number(k).key: size for k, size in zip(self.accepted, estimated, strict=True)}

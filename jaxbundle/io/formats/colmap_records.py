@@ -59,7 +59,7 @@ NO_POSE = np.array([1.0, 0, 0, 0, 0, 0, 0])  # of the reference sensor
 def model_of(
     cameras: list[CameraRecord],
     images: list[tuple[int, str, int, list[float]]],
-    rays: list[tuple[Float[np.ndarray, "ray 2"], Int[np.ndarray, " ray"]]],
+    rays: list[tuple[Float[np.ndarray, "_ray 2"], Int[np.ndarray, " _ray"]]],
     points: tuple[Int[np.ndarray, " point"], Float[np.ndarray, "point 3"]],
     rigs: tuple[dict[int, list[SensorRecord]], list[FrameRecord]],
 ) -> Model:

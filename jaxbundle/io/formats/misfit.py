@@ -91,7 +91,7 @@ def interior_of(
     return table[cameras].T
 
 
-def cameras_by_model(foreign: ForeignBlock) -> dict[CameraModel, Int[np.ndarray, " camera"]]:
+def cameras_by_model(foreign: ForeignBlock) -> dict[CameraModel, Int[np.ndarray, " _camera"]]:
     """Numbers of the cameras with each model."""
     models = dict.fromkeys(camera.model for camera in foreign.cameras)
     return {m: np.array([k for k, camera in enumerate(foreign.cameras) if camera.model is m]) for m in models}

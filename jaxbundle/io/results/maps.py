@@ -31,7 +31,7 @@ class Layer(NamedTuple):
 
     name: str
     geometry: str
-    shapes: list[Float[np.ndarray, "corner 3"]]
+    shapes: list[Float[np.ndarray, "_corner 3"]]
     columns: dict[str, list[Any]]
 
 

@@ -22,7 +22,7 @@ class Plan(NamedTuple):
     stations: Float[np.ndarray, "image 3"]
     points: Float[np.ndarray, "point 3"]
     role: Int[np.ndarray, " point"]
-    outlines: tuple[Float[np.ndarray, "corner 2"], ...]
+    outlines: tuple[Float[np.ndarray, "_corner 2"], ...]
 
 
 def plan(figures: Figures) -> Plan:
