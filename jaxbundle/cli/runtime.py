@@ -12,7 +12,7 @@ import typer
 from jaxbundle.cli.cluster import AUTOMATIC, Cluster
 from jaxbundle.cli.codes import Code, LostProcess
 from jaxbundle.cli.last_words import in_a_sentence
-from jaxbundle.numerics.devices import meet
+from jaxbundle.numerics.devices import cores, meet
 from jaxbundle.numerics.program_cache import keep_programs
 
 MAX_DEVICES = 8  # each device stores the full reduced normal equations
@@ -93,8 +93,3 @@ def _end_at_once(before: Callable[[], None]) -> None:
     sys.stderr.flush()
     before()
     os._exit(Code.BAD_INPUT)
-
-
-def cores() -> int:
-    """Number of cores that this process may use."""
-    return len(os.sched_getaffinity(0)) if hasattr(os, "sched_getaffinity") else os.cpu_count() or 1

@@ -1,6 +1,8 @@
 """Verifying the candidates of pairs of images by the relative orientation."""
 
 from collections.abc import Callable, Sequence
+from concurrent.futures import ThreadPoolExecutor
+from itertools import chain
 from pathlib import Path
 from typing import NamedTuple
 
@@ -11,6 +13,7 @@ from jaxbundle.camera.camera_models import CAMERA_MODELS
 from jaxbundle.imagery.interest_points import Features
 from jaxbundle.imagery.match_candidates import candidates
 from jaxbundle.measuring.pair_files import VERSION, digest, store_pair, stored_pair
+from jaxbundle.numerics.devices import cores
 from jaxbundle.orientation.relative_orientations import relative_orientation
 
 ROWS = 512  # maximum points of a relative orientation: one program for all pairs
@@ -55,7 +58,7 @@ def verified_pairs(
     done: Callable[[int, int], None] = lambda number, total: None,
     folder: Path | None = None,
 ) -> Pairs:
-    """Matches of all pairs that agree with a relative orientation.
+    """Matches of all pairs that agree with a relative orientation; pairs are computed on all cores.
 
     Args:
         views: the images.
@@ -64,21 +67,49 @@ def verified_pairs(
         folder: folder of the finished pairs, which are not remeasured; None stores nothing.
     """
     pairs, found = neighbours(views), {}
-    keys = [digest(view.features.xy, view.features.descriptors, view.interior) for view in views] if folder else []
-    for number, (i, j) in enumerate(pairs):
-        matches, file, key = None, None, ""
-        if folder is not None:
-            file = folder / f"{views[i].name}+{views[j].name}.npz"
-            key = f"{VERSION} {SIGMA * scale} {SAMPLES} {keys[i]} {keys[j]}"
-            matches = stored_pair(file, key)
+    store = None if folder is None else _Store(folder, views, SIGMA * scale)
+
+    def matches_of(pair: tuple[int, int]) -> Int[np.ndarray, "match 2"]:
+        matches = None if store is None else store.matches(pair)
         if matches is None:
-            matches = verified(views[i], views[j], SIGMA * scale)
-            if file is not None:
-                store_pair(file, key, matches)
-        if len(matches):
-            found[i, j] = matches
-        done(number + 1, len(pairs))
+            matches = verified(views[pair[0]], views[pair[1]], SIGMA * scale)
+            if store is not None:
+                store.keep(pair, matches)
+        return matches
+
+    first = [matches_of(pair) for pair in pairs[:1]]  # compiles the program of all
+    with ThreadPoolExecutor(cores()) as pool:
+        try:
+            for number, (pair, matches) in enumerate(
+                zip(pairs, chain(first, pool.map(matches_of, pairs[1:])), strict=True)
+            ):
+                if len(matches):
+                    found[pair] = matches
+                done(number + 1, len(pairs))
+        except BaseException:  # pairs that are not begun yet are left to the next run
+            pool.shutdown(cancel_futures=True)
+            raise
     return found
+
+
+class _Store:
+    """Finished pairs in a folder; a pair counts if its points, cameras and options are the same."""
+
+    def __init__(self, folder: Path, views: Sequence[View], sigma: float):
+        self.folder, self.names = folder, [view.name for view in views]
+        views_keys = [digest(view.features.xy, view.features.descriptors, view.interior) for view in views]
+        self.key = lambda pair: f"{VERSION} {sigma} {SAMPLES} {views_keys[pair[0]]} {views_keys[pair[1]]}"
+
+    def _file(self, pair: tuple[int, int]) -> Path:
+        return self.folder / f"{self.names[pair[0]]}+{self.names[pair[1]]}.npz"
+
+    def matches(self, pair: tuple[int, int]) -> Int[np.ndarray, "match 2"] | None:
+        """The matches of a finished pair."""
+        return stored_pair(self._file(pair), self.key(pair))
+
+    def keep(self, pair: tuple[int, int], matches: Int[np.ndarray, "match 2"]) -> None:
+        """Stores the matches of a pair."""
+        store_pair(self._file(pair), self.key(pair), matches)
 
 
 def verified(first: View, second: View, sigma: float) -> Int[np.ndarray, "match 2"]:

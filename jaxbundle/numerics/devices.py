@@ -4,6 +4,7 @@ Processes run the same calls on the same block. Each process has the whole plan,
 gets the whole result (`host.on_host`).
 """
 
+import os
 from typing import Any
 
 import jax
@@ -80,3 +81,8 @@ def equal_in_all_processes(mark: bytes) -> bool:
         return True
     marks = multihost_utils.process_allgather(np.frombuffer(mark, np.uint8))
     return bool((np.asarray(marks) == np.asarray(marks)[0]).all())
+
+
+def cores() -> int:
+    """Number of cores that this process may use."""
+    return len(os.sched_getaffinity(0)) if hasattr(os, "sched_getaffinity") else os.cpu_count() or 1
