@@ -13,7 +13,7 @@ import math
 import numpy as np
 from jaxtyping import Float
 
-from jaxbundle.geometry.rotation import Rotation, about_x, about_y, about_z, product
+from jaxbundle.geometry.rotation import Rotation, Scalar, about_x, about_y, about_z, product
 from jaxbundle.io.formats import rotations
 from jaxbundle.io.formats.coordinates import convergence, is_metric_local
 from jaxbundle.io.formats.foreign_block import Known, triple
@@ -22,7 +22,7 @@ _E = np.array([[0.0, 1, 0], [1, 0, 0], [0, 0, -1]])
 _B = np.array([[0.0, 0, 1], [1, 0, 0], [0, 1, 0]])
 
 
-def _yaw_pitch_roll(yaw: np.ndarray, pitch: np.ndarray, roll: np.ndarray) -> Rotation:
+def _yaw_pitch_roll(yaw: Scalar, pitch: Scalar, roll: Scalar) -> Rotation:
     return product(product(about_z(yaw), about_y(pitch)), about_x(roll))
 
 
