@@ -13,7 +13,7 @@ from jaxbundle.statistics.covariance import covariance_of, error_ellipses, error
 
 @pytest.fixture(scope="module")
 def reported():
-    return adjust(case("figures and correlated"))
+    return adjust(case("all observations"))
 
 
 def several(block):
