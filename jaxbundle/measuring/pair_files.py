@@ -26,12 +26,12 @@ def digest(*arrays: np.ndarray) -> str:
 
 
 def stored_pair(file: Path, key: str) -> Int[np.ndarray, "match 2"] | None:
-    """The matches of a finished pair; None if there is no file with this key."""
+    """The matches of a finished pair, or None for a pair that is not finished, or was measured in another way."""
     try:
         with np.load(file) as stored:
             return stored["matches"] if str(stored["key"]) == key else None
     except (OSError, ValueError, KeyError, zipfile.BadZipFile):
-        return None  # there is no file, or it is incomplete
+        return None  # the file is missing or incomplete
 
 
 def store_pair(file: Path, key: str, matches: Int[np.ndarray, "match 2"]) -> None:
