@@ -1,8 +1,6 @@
 """Verifying the candidates of pairs of images by the relative orientation."""
 
 from collections.abc import Callable, Sequence
-from concurrent.futures import ThreadPoolExecutor
-from itertools import chain
 from pathlib import Path
 from typing import NamedTuple
 
@@ -13,7 +11,7 @@ from jaxbundle.camera.camera_models import CAMERA_MODELS
 from jaxbundle.imagery.interest_points import Features
 from jaxbundle.imagery.match_candidates import candidates
 from jaxbundle.measuring.pair_files import VERSION, digest, store_pair, stored_pair
-from jaxbundle.numerics.devices import cores
+from jaxbundle.numerics.devices import on_cores
 from jaxbundle.orientation.relative_orientations import relative_orientation
 
 ROWS = 512  # maximum points of a relative orientation: one program for all pairs
@@ -77,18 +75,10 @@ def verified_pairs(
                 store.keep(pair, matches)
         return matches
 
-    first = [matches_of(pair) for pair in pairs[:1]]  # compiles the program of all
-    with ThreadPoolExecutor(cores()) as pool:
-        try:
-            for number, (pair, matches) in enumerate(
-                zip(pairs, chain(first, pool.map(matches_of, pairs[1:])), strict=True)
-            ):
-                if len(matches):
-                    found[pair] = matches
-                done(number + 1, len(pairs))
-        except BaseException:  # pairs that are not begun yet are left to the next run
-            pool.shutdown(cancel_futures=True)
-            raise
+    for number, (pair, matches) in enumerate(zip(pairs, on_cores(matches_of, pairs), strict=True)):
+        if len(matches):
+            found[pair] = matches
+        done(number + 1, len(pairs))
     return found
 
 

@@ -5,7 +5,9 @@ gets the whole result (`host.on_host`).
 """
 
 import os
-from typing import Any
+from collections.abc import Callable, Iterator, Sequence
+from concurrent.futures import ThreadPoolExecutor
+from typing import Any, TypeVar
 
 import jax
 import numpy as np
@@ -17,6 +19,8 @@ from jaxtyping import Array
 from jaxbundle.numerics.host import on_device, on_host
 
 AXIS = "device"
+Item = TypeVar("Item")
+Result = TypeVar("Result")
 
 
 def device_mesh(devices: int) -> Mesh:
@@ -86,3 +90,17 @@ def equal_in_all_processes(mark: bytes) -> bool:
 def cores() -> int:
     """Number of cores that this process may use."""
     return len(os.sched_getaffinity(0)) if hasattr(os, "sched_getaffinity") else os.cpu_count() or 1
+
+
+def on_cores(function: Callable[[Item], Result], items: Sequence[Item]) -> Iterator[Result]:
+    """Results of a function for each item, in their order, computed in threads on all cores.
+
+    The first item is computed alone, since it compiles the programs of all. After an error, or if the caller stops,
+    items that are not begun are left out.
+    """
+    yield from map(function, items[:1])
+    with ThreadPoolExecutor(cores()) as pool:
+        try:
+            yield from pool.map(function, items[1:])
+        finally:
+            pool.shutdown(cancel_futures=True)

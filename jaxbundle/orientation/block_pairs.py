@@ -12,11 +12,13 @@ from jaxtyping import Bool, Float, Int
 
 from jaxbundle.geometry.rotation import apply
 from jaxbundle.geometry.vectors import Vector, components, cross, dot
+from jaxbundle.numerics.devices import on_cores
 from jaxbundle.numerics.host import on_device
 from jaxbundle.orientation.common_rays import MIN_COMMON, CommonRays, Directions, spread
 from jaxbundle.orientation.pair_kernel import PARALLEL, REJECTED, PairRays, oriented_pairs
 
 PAIRS, RAYS, SAMPLES = 64, 48, 32  # pairs of one call: one program for all blocks
+CONSIDERED = 8 * RAYS  # rays of a pair, drawn from all, from which spread ones are selected
 MAX_SAMPLES = 512  # maximum samples of a pair
 SURE = 7.0  # -log(0.001)
 NOISE = 1.5  # factor of samples, since correct rays have random errors
@@ -71,9 +73,11 @@ def block_pairs(directions: Directions, common: CommonRays) -> BlockPairs:
     optimised = count >= PAIRS_FOR_OPTIMISATION
     left, drawn = np.arange(count), np.zeros(count, int)
     while len(left):
-        for start in range(0, len(left), PAIRS):
-            chosen = np.resize(left[start : start + PAIRS], PAIRS)  # a few pairs are sampled several times
-            new, new_costs = _oriented(rays, chosen, rng, optimised)
+        # a few pairs are sampled several times: the last call is filled with others
+        calls = [np.resize(left[start : start + PAIRS], PAIRS) for start in range(0, len(left), PAIRS)]
+        seeded = list(zip(calls, rng.spawn(len(calls)), strict=True))
+        oriented = on_cores(lambda call: _oriented(rays, *call, optimised), seeded)
+        for chosen, (new, new_costs) in zip(calls, oriented, strict=True):
             drawn += SAMPLES * np.bincount(chosen, minlength=count)
             order = np.argsort(-new_costs[:, 0], kind="stable")  # the best of several results of a pair is written last
             order = order[new_costs[order, 0] < costs[chosen[order], 0]]
@@ -94,7 +98,8 @@ def block_pairs(directions: Directions, common: CommonRays) -> BlockPairs:
 def _gathered(directions: Directions, common: CommonRays, rng: np.random.Generator) -> _Gathered:
     index, valid = np.zeros((len(common.pairs), RAYS, 2), int), np.zeros((len(common.pairs), RAYS), bool)
     for k, rays in enumerate(common.rays):
-        chosen = rays[spread(directions.vector[rays[:, 0]], RAYS, rng)]
+        some = rays if len(rays) <= CONSIDERED else rng.choice(rays, CONSIDERED, replace=False, shuffle=False)
+        chosen = some[spread(directions.vector[some[:, 0]], RAYS, rng)]
         index[k, : len(chosen)], valid[k, : len(chosen)] = chosen, True
     first, second = (directions.vector[index[..., k]] for k in range(2))
     variance = (directions.sigma[index] ** 2).mean(-1)

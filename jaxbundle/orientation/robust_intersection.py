@@ -11,12 +11,14 @@ import numpy as np
 from jaxtyping import Bool, Float, Int
 
 from jaxbundle.geometry.vectors import components, cross, dot, squared
+from jaxbundle.numerics.devices import on_cores
 from jaxbundle.orientation.intersection import closest_to_rays
 
 DEPTHS = 2.0 ** np.arange(-3, 7)  # share of a typical depth
 NEARLY = 2.0  # times the minimum misfit
 TRIALS = 12  # maximum number of pairs of rays of a point
 FITS = 4.0  # standard deviations
+TOGETHER = 100_000  # rays of a group of points
 
 
 class Rays(NamedTuple):
@@ -39,7 +41,28 @@ class Met(NamedTuple):
 
 
 def met(rays: Rays, count: int) -> Met:
-    """Intersects all points robustly."""
+    """Intersects all points robustly, in groups of points on all cores."""
+    if len(rays.point) <= TOGETHER:
+        return _met(rays, count)
+    order = np.argsort(rays.point, kind="stable")
+    ends = np.cumsum(np.bincount(rays.point, minlength=count))
+    starts = np.unique([0, *np.searchsorted(ends, np.arange(TOGETHER, len(order), TOGETHER), side="right")])
+    groups = list(zip(starts, [*starts[1:], count], strict=True))
+
+    def of_group(group: tuple[int, int]) -> Met:
+        low, high = group
+        own = order[ends[low - 1] if low else 0 : ends[high - 1]]
+        some = Rays(*(x[own] for x in rays))
+        return _met(some._replace(point=some.point - low), high - low)
+
+    found = list(on_cores(of_group, groups))
+    points, fits, off = (np.concatenate(column) for column in zip(*found, strict=True))
+    back = np.empty(len(order), int)
+    back[order] = np.arange(len(order))
+    return Met(points, fits[back], off[back])
+
+
+def _met(rays: Rays, count: int) -> Met:
     few = (
         np.bincount(rays.point, rays.believed, count) < 2
     )  # with two rays the only pair may be wrong: all pairs are tried

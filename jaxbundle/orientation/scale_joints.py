@@ -10,6 +10,7 @@ from jaxtyping import Bool, Int
 from scipy.sparse.csgraph import connected_components
 
 ENOUGH = 3  # points: one determines the ratio, a second one checks it, a third one decides
+FIRST_POINTS = 200  # points of an image in a first trial; the image with most points is counted
 
 
 def without_scale(
@@ -21,15 +22,29 @@ def without_scale(
         image, point: of the rays that fit.
         images: those of the part.
     """
+    if images.sum() < 3:
+        return np.zeros_like(images)
     chosen = images[image]
-    order = np.lexsort((image[chosen], point[chosen]))
-    i, p = image[chosen][order], point[chosen][order]
+    image, point = image[chosen], point[chosen]
+    number = np.bincount(image, minlength=len(images)).max(initial=1)
+    # further points only add connections: where a share of the points connects all images, all points do
+    for share in (FIRST_POINTS / number, 1.0):
+        some = np.random.default_rng(0).random(point.max(initial=0) + 1)[point] < share
+        found = _without_scale(image[some], point[some], images)
+        if not found.any() or share >= 1.0:
+            break
+    return found
+
+
+def _without_scale(
+    image: Int[np.ndarray, " ray"], point: Int[np.ndarray, " ray"], images: Bool[np.ndarray, " image"]
+) -> Bool[np.ndarray, " image"]:
+    order = np.lexsort((image, point))
+    i, p = image[order], point[order]
     first = np.ones(len(i), bool)
     first[1:] = (np.diff(i) != 0) | (np.diff(p) != 0)
     i, p = i[first].astype(np.int64), p[first]
     three = np.flatnonzero(p[2:] == p[:-2]) if len(p) > 2 else np.zeros(0, int)
-    if images.sum() < 3:
-        return np.zeros_like(images)
     number = len(images)
     a, b, c = i[three], i[three + 1], i[three + 2]
     names, pairs = np.unique(np.concatenate([a * number + b, b * number + c, a * number + c]), return_inverse=True)
