@@ -23,7 +23,7 @@ from jaxbundle.block.wording import counted
 from jaxbundle.camera.fiducials import InnerOrientation
 from jaxbundle.camera.model import CameraModel, mixture
 from jaxbundle.geometry.rotation import OMEGA_PHI_KAPPA, RotationSystem
-from jaxbundle.numerics.host import array_module, freeze_arrays, is_concrete, on_device, on_host
+from jaxbundle.numerics.host import freeze_arrays, is_concrete, on_device, on_host
 
 MAX_CAMERAS = 5  # named where a block shows itself
 CENTRE_ELEMENTS = ("X0", "Y0", "Z0")
@@ -323,31 +323,23 @@ class Block(Facade):
 
     def moved(self, shift: Float[Array | np.ndarray, "3"]) -> "Block":
         """Returns the block in a shifted object system: `shift` is added to all object coordinates."""
-        shift = on_host(shift)
 
-        def moved(coordinates: Float[Array, "entity 3"]) -> Float[Array, "entity 3"]:
-            return on_device(on_host(coordinates) + shift[None])
+        def parts(block: Block) -> tuple:
+            return block.exterior.projection_centre, block.object_points, block.check_points.coordinates, block.groups
 
-        def moved_group(group: ObservationGroup) -> ObservationGroup:
-            kind = group.structure.kind
-            if kind.in_object_system:
-                group = eqx.tree_at(lambda g: g.values, group, moved(group.values))
-            by = [shift["XYZ".index(name)] if name in ("X", "Y", "Z") else 0.0 for name in kind.constants]
-            if kind.constants:
-                xp = array_module(shift)
-                group = eqx.tree_at(
-                    lambda g: g.constants, group, on_device(on_host(group.constants) + xp.stack(by)[None])
-                )
-            return group
-
-        groups = tuple(map(moved_group, self.groups))
+        (centre, points, checks, groups), shift = on_host((parts(self), shift))
+        groups = tuple(_moved(group, shift) for group in groups)
         return eqx.tree_at(
-            lambda b: (b.exterior.projection_centre, b.object_points, b.groups, b.check_points.coordinates),
-            self,
-            (
-                moved(self.exterior.projection_centre),
-                moved(self.object_points),
-                groups,
-                moved(self.check_points.coordinates),
-            ),
+            parts, self, on_device((centre + shift[None], points + shift[None], checks + shift[None], groups))
         )
+
+
+def _moved(group: ObservationGroup, shift: Float[Array | np.ndarray, "3"]) -> ObservationGroup:
+    """A group in a shifted object system; its arrays are numpy's or traced."""
+    kind = group.structure.kind
+    if kind.in_object_system:
+        group = eqx.tree_at(lambda g: g.values, group, group.values + shift[None])
+    if not kind.constants:
+        return group
+    along = np.array([[name == axis for name in kind.constants] for axis in "XYZ"], float)
+    return eqx.tree_at(lambda g: g.constants, group, group.constants + (shift @ along)[None])

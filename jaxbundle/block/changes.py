@@ -43,8 +43,8 @@ def without_ray(block: Block, ray: int) -> Block:
     if lonely:
         keep[others] = False
     structure = dataclasses.replace(structure, ray_image=structure.ray_image[keep], ray_point=structure.ray_point[keep])
-    coordinates, sigmas = (on_device(on_host(x)[keep]) for x in (block.rays.coordinates, block.rays.sigmas))
-    block = dataclasses.replace(block, structure=structure, rays=Rays(coordinates, sigmas))
+    coordinates, sigmas = on_host((block.rays.coordinates, block.rays.sigmas))
+    block = dataclasses.replace(block, structure=structure, rays=Rays(*on_device((coordinates[keep], sigmas[keep]))))
     return _without_point(block, int(point)) if lonely else block
 
 

@@ -132,7 +132,7 @@ def _padded_indices(mask: Bool[np.ndarray, " entity"]) -> Int[Array, " padded"]:
     index = np.nonzero(mask)[0]
     padded = np.full(grid_size(len(index)), np.argmin(mask))
     padded[: len(index)] = index
-    return on_device(padded, np.int32)
+    return on_device(padded.astype(np.int32))
 
 
 class DatumEquations(NamedTuple):

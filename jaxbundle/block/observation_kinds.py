@@ -26,7 +26,7 @@ from jaxtyping import Array, Bool, Float, Int
 
 from jaxbundle.camera.collinearity import Vector
 from jaxbundle.geometry.rotation import Rotation, Scalar
-from jaxbundle.numerics.host import array_module, freeze_arrays, on_device, on_host
+from jaxbundle.numerics.host import array_module, freeze_arrays, on_device
 from jaxbundle.numerics.trial import defect
 
 
@@ -130,22 +130,21 @@ class ObservationGroup(eqx.Module):
     @property
     def weights(self) -> Float[Array, "member component *component"]:
         """Square roots of the weights: 1/sigma, or L^-1 for covariances L L^T; 0 where not observed."""
-        observed = self.structure.observed
+        observed, xp = self.structure.observed, array_module((self.sigmas, self.covariances))
         if self.covariances is None:
-            return on_device(observed.astype(float) / on_host(self.sigmas))
+            return on_device(xp.divide(observed.astype(float), self.sigmas))
         both = observed[:, :, None] & observed[:, None, :]
-        xp = array_module(self.covariances)
         size = observed.shape[1]
-        factor = xp.linalg.cholesky(xp.where(both, on_host(self.covariances), np.eye(size)))
+        factor = xp.linalg.cholesky(xp.where(both, self.covariances, np.eye(size)))
         return on_device(xp.where(both, xp.linalg.solve(factor, np.broadcast_to(np.eye(size), factor.shape)), 0.0))
 
     def unweighted(self, weighted: Float[Array, "member component"]) -> Float[Array, "member component"]:
         """Residuals from weighted residuals (times the square roots of the weights); 0 where not observed."""
+        xp = array_module((weighted, self.sigmas, self.covariances))
         if self.covariances is None:
-            return on_device(on_host(weighted) * on_host(self.sigmas))
-        weights = on_host(self.weights)
-        missing = np.eye(weights.shape[1]) * ~self.structure.observed[:, None, :]
-        return on_device(array_module(weighted).linalg.solve(weights + missing, on_host(weighted)[..., None])[..., 0])
+            return on_device(xp.multiply(weighted, self.sigmas))
+        missing = np.eye(weighted.shape[1]) * ~self.structure.observed[:, None, :]
+        return on_device(xp.linalg.solve(xp.add(self.weights, missing), xp.expand_dims(weighted, 2))[..., 0])
 
     @property
     def count(self) -> int:
@@ -222,10 +221,5 @@ def observation_group(
     observed = np.isfinite(values) & np.isfinite(sigmas)
     structure = GroupStructure(kind, np.asarray(indices, np.int32), observed)
     constants = np.zeros((len(values), 0)) if constants is None else constants
-    return ObservationGroup(
-        structure,
-        on_device(np.where(observed, values, 0.0)),
-        on_device(np.where(observed, sigmas, 1.0)),
-        on_device(constants),
-        None if covariances is None else on_device(covariances),
-    )
+    values, sigmas = np.where(observed, values, 0.0), np.where(observed, sigmas, 1.0)
+    return ObservationGroup(structure, *on_device((values, sigmas, constants, covariances)))

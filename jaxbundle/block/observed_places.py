@@ -34,9 +34,7 @@ def frame_of(block: Block) -> Frame:
         distances = np.linalg.norm(places - centre, axis=1)
         radius = radius or float(np.median(distances)) if len(places) else radius
         radius = radius or float(distances.max(initial=0.0))
-    placed = eqx.tree_at(
-        lambda b: (b.object_points, b.exterior.projection_centre), block, (on_device(points), on_device(centres))
-    )
+    placed = eqx.tree_at(lambda b: (b.object_points, b.exterior.projection_centre), block, on_device((points, centres)))
     return Frame(placed.moved(-centre), centre, radius or 1.0)
 
 

@@ -53,38 +53,40 @@ class Observations(eqx.Module):
     in_angles: Bool[Array, " image"] | None
 
 
-def group_arrays(group: ObservationGroup, indices: Int[np.ndarray, "touched member"]) -> Group:
-    """A group as arrays with the long axis last; `indices` in the order of the unknowns."""
-    values, weights, constants = (on_host(x) for x in (group.values, group.weights, group.constants))
+def group_arrays(group: ObservationGroup, indices: Int[np.ndarray, "touched member"], size: int | None = None) -> Group:
+    """A group as arrays with the long axis last; `indices` in the order of the unknowns.
+
+    Padded to `size` with copies of the first member, whose weights are 0: their residuals are finite.
+    """
+    values, weights, constants = on_host((group.values, group.weights, group.constants))
     weights = weights.T if weights.ndim == 2 else weights.transpose(1, 2, 0)
-    return Group(
-        group.structure.kind,
-        on_device(indices, np.int32),
-        on_device(values.T),
-        on_device(weights),
-        on_device(constants.T),
-    )
+    if size is not None:
+        member = padded_members(len(values), size)
+        indices, values, constants = indices[:, member], values[member], constants[member]
+        weights = weights[..., member] * (np.arange(size) < weights.shape[-1])
+    return Group(group.structure.kind, *on_device((indices.astype(np.int32), values.T, weights, constants.T)))
+
+
+def padded_members(count: int, size: int) -> Int[np.ndarray, " padded"]:
+    """Indices of the members of a group, padded with the first member."""
+    member = np.arange(size)
+    return np.where(member < count, member, 0)
 
 
 def observations_of(block: Block) -> Observations:
     """The observations of a block as arrays."""
     structure, in_angles = block.structure, corrected_in_angles(block.structure)
-    groups = tuple(group_arrays(group, group.structure.indices.T) for group in block.groups)
+    coordinates, sigmas = on_host((block.rays.coordinates, block.rays.sigmas))
+    indices = structure.image_camera, structure.ray_image, structure.ray_point
+    interior_free = structure.interior_free.T[list(structure.interior_columns)]
+    free = structure.exterior_free.T, interior_free, structure.parameter_free, structure.point_free.T, in_angles
     return Observations(
         structure.model,
         structure.interior_columns,
         structure.rotation_system,
-        on_device(structure.image_camera, jnp.int32),
-        on_device(structure.ray_image, jnp.int32),
-        on_device(structure.ray_point, jnp.int32),
-        on_device(on_host(block.rays.coordinates).T),
-        on_device(1 / on_host(block.rays.sigmas).T),
-        groups,
-        on_device(structure.exterior_free.T),
-        on_device(structure.interior_free.T[list(structure.interior_columns)]),
-        on_device(structure.parameter_free),
-        on_device(structure.point_free.T),
-        None if in_angles is None else on_device(in_angles),
+        *on_device((*(index.astype(np.int32) for index in indices), coordinates.T, 1 / sigmas.T)),
+        tuple(group_arrays(group, group.structure.indices.T) for group in block.groups),
+        *on_device(free),
     )
 
 

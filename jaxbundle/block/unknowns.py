@@ -47,30 +47,35 @@ class Correction(eqx.Module):
 
 def unknowns_of(block: Block) -> Unknowns:
     """The approximate values of a block as unknowns."""
-    interior = on_host(block.interior.elements).T
+    angles, centre, interior, parameters, points = on_host(
+        (
+            block.exterior.angles,
+            block.exterior.projection_centre,
+            block.interior.elements,
+            block.parameters,
+            block.object_points,
+        )
+    )
+    interior = interior.T
     models = tuple(dict.fromkeys(camera.model for camera in block.structure.cameras))
     if len(models) > 1:  # the last element of a mixture selects the model
         kind = np.array([[models.index(camera.model) for camera in block.structure.cameras]], float)
         interior = (np if is_concrete(interior) else jnp).concatenate([interior, kind])
-    return Unknowns(
-        _rotations(block),
-        on_device(on_host(block.exterior.projection_centre).T),
-        on_device(interior),
-        on_device(block.parameters),
-        on_device(on_host(block.object_points).T),
-    )
+    rotation = _rotations(block.structure.rotation_system, angles)
+    return Unknowns(*on_device((rotation, centre.T, interior, parameters, points.T)))
 
 
-def _rotations(block: Block) -> Float[Array, "9 image"]:
+def _rotations(
+    system: RotationSystem, angles: Float[Array | np.ndarray, "image 3"]
+) -> Float[Array | np.ndarray, "9 image"]:
     """Rotation matrices of the images; concrete ones by a compiled program for any number of images."""
-    angles, system = on_host(block.exterior.angles), block.structure.rotation_system
     if not is_concrete(angles):
         return jnp.stack(system.rotation_from_angles(*angles.T))
     padded = np.zeros((3, grid_size(len(angles))))
     padded[:, : len(angles)] = angles.T
     with jax.ensure_compile_time_eval():  # also inside jit, where the angles may be constants
         rotations = np.asarray(_compiled_rotations(system, on_device(padded), optimised=False))
-    return on_device(rotations[:, : len(angles)])
+    return rotations[:, : len(angles)]
 
 
 @Compiled

@@ -9,10 +9,10 @@ from typing import Any, NamedTuple
 import jax
 import jax.numpy as jnp
 import numpy as np
-from jaxtyping import Array, Bool, Float, Int
+from jaxtyping import Array, Float, Int
 
 from jaxbundle.block.block import Block, Structure
-from jaxbundle.block.residuals import Group, Observations, group_arrays
+from jaxbundle.block.residuals import Observations, group_arrays, padded_members
 from jaxbundle.block.unknowns import Unknowns, corrected_in_angles
 from jaxbundle.normals.cholesky import DenseCholesky
 from jaxbundle.normals.panel_cholesky import PanelCholesky
@@ -33,8 +33,9 @@ def problem(plan: EliminationPlan, block: Block) -> Problem:
         _observations(plan, block),
         tuple(_tiles(part, block, plan.devices) for part in plan.parts),
         _border_rays(plan, block),
-        on_device(plan.diagonal_pair),
-        tuple(None if pair is None else on_device(pair[_members(len(pair))]) for pair in plan.group_pairs),
+        *on_device(
+            (plan.diagonal_pair, tuple(None if pair is None else _padded_pairs(pair) for pair in plan.group_pairs))
+        ),
         reduced_solver(plan.reduced),
         plan.layout,
         plan.devices,
@@ -43,33 +44,25 @@ def problem(plan: EliminationPlan, block: Block) -> Problem:
 
 def to_elimination_order(plan: EliminationPlan, unknowns: Unknowns) -> OrderedUnknowns:
     """The unknowns of a block in elimination order."""
-    o, tile_points = plan.order, plan.tile_points
-    rotation = spread(unknowns.rotation, o.image, o.images, np.eye(3).reshape(9, 1))
+    o, tile_points, unknowns = plan.order, plan.tile_points, on_host(unknowns)
     points = spread(unknowns.points, o.point, o.points, 0.0)
-    images = Unknowns(
-        on_device(rotation),
-        on_device(spread(unknowns.centre, o.image, o.images, 0.0)),
-        on_device(spread(unknowns.interior, o.camera, o.cameras, 1.0)),
-        on_device(_padded(unknowns.parameters, plan.layout.parameters)),
-        on_device(points[:, tile_points:]),
+    images = (
+        spread(unknowns.rotation, o.image, o.images, np.eye(3).reshape(9, 1)),
+        spread(unknowns.centre, o.image, o.images, 0.0),
+        spread(unknowns.interior, o.camera, o.cameras, 1.0),
+        spread(unknowns.parameters[None], np.arange(o.parameters), plan.layout.parameters, 0.0)[0],
+        points[:, tile_points:],
     )
     tiles = points[:, :tile_points].reshape(3, -1, plan.layout.width)
-    return OrderedUnknowns(images, dealt(tiles, plan.devices, 1))
+    return OrderedUnknowns(Unknowns(*on_device(images)), dealt(tiles, plan.devices, 1))
 
 
 def to_block_order(plan: EliminationPlan, ordered: OrderedUnknowns) -> Unknowns:
     """The unknowns in the order of the block."""
-    images, o = ordered.images, plan.order
-    tiles, border = on_host(ordered.tiles), on_host(images.points)
-    xp = np if is_concrete((tiles, border)) else jnp
-    points = xp.concatenate([tiles.reshape(3, -1), border], 1)[:, o.point]
-    parts = (
-        on_host(images.rotation)[:, o.image],
-        on_host(images.centre)[:, o.image],
-        on_host(images.interior)[:, o.camera],
-        on_host(images.parameters)[: o.parameters],
-    )
-    return Unknowns(*(on_device(x) for x in (*parts, points)))
+    (images, tiles), o = on_host(ordered), plan.order
+    points = array_module((tiles, images.points)).concatenate([tiles.reshape(3, -1), images.points], 1)[:, o.point]
+    elements = images.rotation[:, o.image], images.centre[:, o.image], images.interior[:, o.camera]
+    return Unknowns(*on_device((*elements, images.parameters[: o.parameters], points)))
 
 
 def rays_to_block_order(plan: EliminationPlan, components: int, values: list[Array]) -> Float[Array, "ray component"]:
@@ -77,8 +70,8 @@ def rays_to_block_order(plan: EliminationPlan, components: int, values: list[Arr
 
     Input: one array per component and part for the cells, then one per component for the rays of border points.
     """
-    host = [on_host(x) for x in values]
-    xp = np if is_concrete(host) else jnp
+    host = on_host(values)
+    xp = array_module(host)
     columns = [xp.concatenate([x.ravel() for x in host[k::components]])[plan.cell_of_ray] for k in range(components)]
     return on_device(xp.stack(columns, 1))
 
@@ -112,40 +105,23 @@ def ordered_vectors(plan: EliminationPlan, structure: Structure, vectors: BlockV
 
 
 def spread(values: Any, index: Int[np.ndarray, " entity"], size: int, filling: bool | float | np.ndarray) -> Any:
-    """Puts columns of `values` at their positions among `size`; the other positions contain `filling`."""
-    values = on_host(values)
-    xp = np if is_concrete(values) else jnp
+    """Puts columns of `values` at their positions among `size`; the other positions contain `filling`.
+
+    `values`: numpy or traced.
+    """
     source = np.full(size, values.shape[1])
     source[index] = np.arange(values.shape[1])
     column = np.broadcast_to(np.asarray(filling, values.dtype), (values.shape[0], 1))
-    return xp.concatenate([values, column], 1)[:, source]
+    return array_module(values).concatenate([values, column], 1)[:, source]
 
 
-def _padded(values: Any, size: int) -> Any:
-    """Numbers padded with zeros."""
-    values = on_host(values)
-    return array_module(values).concatenate([values, np.zeros(size - len(values), values.dtype)])
+def _members(count: int) -> int:
+    """Size of a padded group."""
+    return grid_size(count, FEWEST_MEMBERS) if count else 0
 
 
-def _members(count: int) -> Int[np.ndarray, " padded"]:
-    """Indices of the members of a group, padded with the first member."""
-    size = grid_size(count, FEWEST_MEMBERS) if count else 0
-    member = np.arange(size)
-    return np.where(member < count, member, 0)
-
-
-def _padded_group(group: Group) -> Group:
-    """A group padded with copies of its first member, whose weights are 0: their residuals are finite."""
-    count = group.values.shape[1]
-    member = _members(count)
-    used = np.arange(len(member)) < count
-    return Group(
-        group.kind,
-        on_device(on_host(group.indices)[:, member], np.int32),
-        on_device(on_host(group.values)[:, member]),
-        on_device(on_host(group.weights)[..., member] * used),
-        on_device(on_host(group.constants)[:, member]),
-    )
+def _padded_pairs(pair: Int[np.ndarray, " member"]) -> Int[np.ndarray, " padded"]:
+    return pair[padded_members(len(pair), _members(len(pair)))]
 
 
 def _observations(plan: EliminationPlan, block: Block) -> Observations:
@@ -159,56 +135,49 @@ def _observations(plan: EliminationPlan, block: Block) -> Observations:
     groups = []
     for group in block.groups:
         touched = zip(group.structure.kind.touches, group.structure.indices.T, strict=True)
-        groups.append(_padded_group(group_arrays(group, np.stack([positions[kind][index] for kind, index in touched]))))
-    none = on_device(np.zeros(0, np.int32))
-    interior_free = structure.interior_free.T[list(structure.interior_columns)]
-    return Observations(
-        model=structure.model,
-        columns=structure.interior_columns,
-        system=structure.rotation_system,
-        image_camera=on_device(image_camera, jnp.int32),
-        ray_image=none,
-        ray_point=none,
-        coordinates=on_device(np.zeros((structure.model.numbers, 0))),
-        weights=on_device(np.zeros((structure.model.components, 0))),
-        groups=tuple(groups),
-        exterior_free=on_device(spread(structure.exterior_free.T, o.image, o.images, False)),
-        interior_free=on_device(spread(interior_free, o.camera, o.cameras, False)),
-        parameter_free=on_device(_padded(structure.parameter_free, plan.layout.parameters)),
-        point_free=on_device(spread(structure.point_free.T, o.point, o.points, False)),
-        in_angles=_in_angles(in_angles, plan),
+        indices = np.stack([positions[kind][index] for kind, index in touched])
+        groups.append(group_arrays(group, indices, _members(indices.shape[1])))
+    free = (
+        spread(structure.exterior_free.T, o.image, o.images, False),
+        spread(structure.interior_free.T[list(structure.interior_columns)], o.camera, o.cameras, False),
+        spread(structure.parameter_free[None], np.arange(o.parameters), plan.layout.parameters, False)[0],
+        spread(structure.point_free.T, o.point, o.points, False),
+        None if in_angles is None else spread(in_angles[None], o.image, o.images, False)[0],
     )
-
-
-def _in_angles(in_angles: Bool[np.ndarray, " image"] | None, plan: EliminationPlan) -> Bool[Array, " padded"] | None:
-    if in_angles is None:
-        return None
-    return on_device(spread(in_angles[None], plan.order.image, plan.order.images, False)[0])
+    no_rays = (np.zeros(0, np.int32), np.zeros(0, np.int32),
+               np.zeros((structure.model.numbers, 0)), np.zeros((structure.model.components, 0)))  # fmt: skip
+    return Observations(
+        structure.model,
+        structure.interior_columns,
+        structure.rotation_system,
+        *on_device((image_camera.astype(np.int32), *no_rays)),
+        tuple(groups),
+        *on_device(free),
+    )
 
 
 def reduced_solver(reduced: ReducedPlan) -> ReducedSolver:
     """The factorisation selected by the plan, with its lists."""
-    pair = on_device(reduced.padded_pairs)
+    pair, images, lists = on_device((reduced.padded_pairs, np.arange(reduced.images, dtype=np.int32), reduced.panels))
     if reduced.panels is None:
-        return ReducedSolver(pair, DenseCholesky(pair, on_device(np.arange(reduced.images), np.int32)))
-    lists = jax.tree.map(on_device, reduced.panels)
+        return ReducedSolver(pair, DenseCholesky(pair, images))
     return ReducedSolver(pair, PanelCholesky(lists, AXIS if reduced.shared_out else None))
 
 
 def _tiles(part: Part, block: Block, devices: int) -> Tiles:
     """The rays of eliminated points as cells."""
     t = part.tiling
-    coordinates, sigmas = on_host(block.rays.coordinates), on_host(block.rays.sigmas)
+    coordinates, sigmas = on_host((block.rays.coordinates, block.rays.sigmas))
 
     def cells(values: Any) -> Any:
-        xp = np if is_concrete(values) else jnp
-        return xp.stack([_to_cells(values[:, k], t.ray, part.rays) for k in range(values.shape[1])], 2)
+        return array_module(values).stack(
+            [_to_cells(values[:, k], t.ray, part.rays) for k in range(values.shape[1])], 2
+        )
 
     slot_image, slot_tile, measured, weights, chunks = (
         dealt(x, devices) for x in (t.slot_image, t.slot_tile, cells(coordinates), cells(1 / sigmas), t.chunks)
     )
-    pairs = jax.tree.map(on_device, part.pairs)
-    return Tiles(slot_image, slot_tile, measured, weights, chunks, pairs, t.max_tiles, t.group)
+    return Tiles(slot_image, slot_tile, measured, weights, chunks, on_device(part.pairs), t.max_tiles, t.group)
 
 
 def _border_rays(plan: EliminationPlan, block: Block) -> BorderRays:
@@ -218,13 +187,11 @@ def _border_rays(plan: EliminationPlan, block: Block) -> BorderRays:
     ray = np.zeros(size, int)
     ray[:count] = plan.border_rays
     used = np.arange(size) < count
-    image, point = block.structure.ray_image[ray], block.structure.ray_point[ray]
-    return BorderRays(
-        on_device(plan.order.image[image], jnp.int32),
-        on_device(np.where(used, plan.order.point[point] - plan.tile_points, 0), jnp.int32),
-        on_device(on_host(block.rays.coordinates)[ray].T),
-        on_device(used.astype(float)[None] / on_host(block.rays.sigmas)[ray].T),
-    )
+    coordinates, sigmas = on_host((block.rays.coordinates, block.rays.sigmas))
+    image = plan.order.image[block.structure.ray_image[ray]]
+    point = np.where(used, plan.order.point[block.structure.ray_point[ray]] - plan.tile_points, 0)
+    weights = used.astype(float)[None] / sigmas[ray].T
+    return BorderRays(*on_device((image.astype(np.int32), point.astype(np.int32), coordinates[ray].T, weights)))
 
 
 def _to_cells(values: Any, cell: Int[np.ndarray, "device chunk slot column"], rays: Int[np.ndarray, " of_part"]) -> Any:

@@ -11,7 +11,6 @@ import jax.numpy as jnp
 import numpy as np
 from jax.core import Tracer
 from jax.experimental import multihost_utils
-from jaxtyping import Array
 
 
 def is_concrete(tree: Any) -> bool:
@@ -24,11 +23,15 @@ def constant(tree: Any) -> Any:
     return tree if is_concrete(tree) else jax.lax.stop_gradient(tree)
 
 
-def on_host(value: Any) -> Any:
-    """Converts a concrete JAX array to numpy; a tracer is unchanged.
+def on_host(tree: Any) -> Any:
+    """Converts concrete JAX arrays to numpy; tracers are unchanged.
 
     Arrays on devices of several processes are gathered: all processes must call this function.
     """
+    return jax.tree.map(_on_host, tree)
+
+
+def _on_host(value: Any) -> Any:
     if isinstance(value, Tracer):
         return value
     if isinstance(value, jax.Array) and not (value.is_fully_addressable or value.is_fully_replicated):
@@ -36,11 +39,9 @@ def on_host(value: Any) -> Any:
     return np.asarray(value)
 
 
-def on_device(value: Any, dtype: Any = None) -> Array:
-    """Makes a JAX array of a number, a numpy array or a tracer."""
-    if isinstance(value, jax.Array):
-        return value if dtype is None else value.astype(dtype)
-    return jax.device_put(np.asarray(value, dtype))
+def on_device(tree: Any) -> Any:
+    """Makes JAX arrays of numbers and numpy arrays; tracers are unchanged."""
+    return jax.tree.map(lambda x: x if isinstance(x, jax.Array) else jax.device_put(np.asarray(x)), tree)
 
 
 def array_module(tree: Any) -> Any:

@@ -295,7 +295,7 @@ def _step_by_step(run: _Run, checkpointer: Checkpointer | None) -> tuple[Ordered
         further, full_steps = _undamped(run, found, args)
         if further is not None:
             found, creeping, entries = further, False, [*entries, *full_steps]
-    state, result = jax.tree.map(lambda x: on_device(on_host(x)), (found.state, found.result))
+    state, result = on_device(on_host((found.state, found.result)))
     status = Status.INTERRUPTED if interrupted else Status(int(status_of(result)))
     if creeping and status is Status.MAXIMUM_ITERATIONS:
         status = Status.CREEPING

@@ -69,7 +69,7 @@ class BlockCofactors(NamedTuple):
         blocks = self.exterior, self.interior, self.object_points, self.parameters
         exterior, interior, points, parameters = (on_host(sigma0) * _roots(c) for c in blocks)
         parts = exterior[:, :3], exterior[:, 3:], interior, points, parameters
-        return StandardDeviations(*map(on_device, parts))
+        return StandardDeviations(*on_device(parts))
 
     @property
     def interior_correlations(self) -> Float[Array, "camera element element"]:

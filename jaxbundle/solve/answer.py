@@ -11,7 +11,7 @@ import jax.numpy as jnp
 import numpy as np
 from jaxtyping import Array, Float
 
-from jaxbundle.block.block import Block, ExteriorOrientation, InteriorOrientation
+from jaxbundle.block.block import Block
 from jaxbundle.block.datum_precision import weak_datum
 from jaxbundle.block.unknowns import angle_derivatives, angles_near
 from jaxbundle.normals.cofactors import Cofactors, cofactors
@@ -22,7 +22,7 @@ from jaxbundle.normals.plan.elimination_plan import EliminationPlan
 from jaxbundle.normals.plan.layout import EXTERIOR
 from jaxbundle.normals.problem import OrderedUnknowns, Problem
 from jaxbundle.numerics.compilation import Compiled
-from jaxbundle.numerics.host import array_module, constant, is_concrete, on_device, on_host
+from jaxbundle.numerics.host import array_module, constant, on_device, on_host
 from jaxbundle.solve.adjustment import Adjustment, BlockCofactors, Iterations, Status
 from jaxbundle.solve.free_network import InnerCofactors, inner_cofactors_of
 from jaxbundle.solve.implicit_precision import with_derivatives
@@ -86,8 +86,8 @@ def adjustment(
 ) -> Adjustment:
     """Makes the adjustment of a block. `problem` and `arranged` have the origin `ended.origin`."""
     optimised, iterations = ended.optimised, ended.iterations
-    reference = on_device(spread(on_host(block.exterior.angles).T, plan.order.image, plan.order.images, 0.0))
-    answer = _answer(arranged, problem, reference, ended.precision, ended.inspected, optimised=optimised)
+    reference = spread(on_host(block.exterior.angles).T, plan.order.image, plan.order.images, 0.0)
+    answer = _answer(arranged, problem, on_device(reference), ended.precision, ended.inspected, optimised=optimised)
     weighted = _tables(block, plan, problem, answer.residuals)
     blocks, redundancy_numbers = None, None
     if answer.cofactors is not None:
@@ -140,13 +140,14 @@ def _tables(block: Block, plan: EliminationPlan, problem: Problem, parts: list[A
     """Values of the observations, as one table for the rays and for each group; 0 where not observed."""
     of_rays = ray_arrays(problem)
     rays = rays_to_block_order(plan, problem.observations.model.components, parts[:of_rays])
-    groups = zip(block.groups, parts[of_rays:], strict=True)
-    return rays, *(on_device(on_host(v).T[: len(group.structure.indices)]) for group, v in groups)
+    groups = zip(block.groups, on_host(parts[of_rays:]), strict=True)
+    return rays, *on_device([v.T[: len(group.structure.indices)] for group, v in groups])
 
 
 def _unweighted(block: Block, weighted: tuple[Array, ...]) -> tuple[Array, ...]:
     """Residuals in the units of their observations."""
-    rays = on_device(on_host(weighted[0]) * on_host(block.rays.sigmas))
+    xp = array_module((weighted[0], block.rays.sigmas))
+    rays = on_device(xp.multiply(weighted[0], block.rays.sigmas))
     return rays, *(group.unweighted(v) for group, v in zip(block.groups, weighted[1:], strict=True))
 
 
@@ -154,7 +155,7 @@ def _redundancy_numbers(block: Block, leverages: tuple[Array, ...]) -> tuple[Arr
     """Redundancy numbers r = 1 - h; 0 where not observed."""
     observed = np.ones(leverages[0].shape, bool), *(group.structure.observed for group in block.groups)
     xp = array_module(leverages)
-    return tuple(on_device(xp.where(o, 1 - on_host(h), 0.0)) for h, o in zip(leverages, observed, strict=True))
+    return on_device(tuple(xp.where(o, xp.subtract(1, h), 0.0) for h, o in zip(leverages, observed, strict=True)))
 
 
 def _adjusted(
@@ -165,41 +166,41 @@ def _adjusted(
     origin: Float[Array | np.ndarray, "3"],
 ) -> Block:
     """The block with its adjusted values. Fixed elements are copied from the input, as shifts of the origin round."""
-    unknowns, structure = to_block_order(plan, arranged), block.structure
 
-    def chosen(free: np.ndarray, new: Array | np.ndarray, old: Array) -> Array:
-        new, old = on_host(new), on_host(old)
-        return on_device((np if is_concrete((new, old)) else jnp).where(free, new, old))
+    def values(b: Block) -> tuple:
+        exterior = b.exterior.projection_centre, b.exterior.angles
+        return b.object_points, *exterior, b.interior.elements, b.parameters
 
-    shift, free = on_host(origin), structure.exterior_free
-    centre = chosen(free[:, :3], on_host(unknowns.centre).T + shift[None], block.exterior.projection_centre)
-    turned = chosen(free[:, 3:], on_host(angles).T[plan.order.image], block.exterior.angles)
-    points = chosen(structure.point_free, on_host(unknowns.points).T + shift[None], block.object_points)
-    elements = block.interior.elements.shape[1]
-    interior = on_device(on_host(unknowns.interior)[:elements].T)
-    return eqx.tree_at(
-        lambda b: (b.object_points, b.exterior, b.interior, b.parameters),
-        block,
-        (points, ExteriorOrientation(centre, turned), InteriorOrientation(interior), unknowns.parameters),
+    def chosen(free: np.ndarray, new: Array | np.ndarray, old: Array | np.ndarray) -> Array | np.ndarray:
+        return array_module((new, old)).where(free, new, old)
+
+    structure, elements = block.structure, block.interior.elements.shape[1]
+    new, angles, shift, old = on_host((to_block_order(plan, arranged), angles, origin, values(block)[:3]))
+    free = structure.exterior_free
+    adjusted = (
+        chosen(structure.point_free, new.points.T + shift[None], old[0]),
+        chosen(free[:, :3], new.centre.T + shift[None], old[1]),
+        chosen(free[:, 3:], angles.T[plan.order.image], old[2]),
+        new.interior[:elements].T,
+        new.parameters,
     )
+    return eqx.tree_at(values, block, on_device(adjusted))
 
 
 def _cofactors(block: Block, plan: EliminationPlan, answer: Answer, inner: InnerCofactors | None) -> BlockCofactors:
     """Cofactors in the order of the block; `inner`: cofactors of a free network instead of its minimal datum."""
     structure, layout, q = block.structure, plan.layout, answer.cofactors
     assert q is not None
-    xp = array_module((answer.to_user, q.points))
-    to_user, small = (
-        on_host(x)[plan.order.image]
-        for x in (answer.to_user, inner.images if inner else q.images[:, :EXTERIOR, :EXTERIOR])
-    )
+    q, inner, to_user = on_host((q, inner, answer.to_user))
+    small = (inner.images if inner else q.images[:, :EXTERIOR, :EXTERIOR])[plan.order.image]
+    to_user = to_user[plan.order.image]
     exterior = to_user @ small @ to_user.transpose(0, 2, 1)
 
     elements, columns = block.interior.elements.shape[1], np.array(structure.interior_columns, int)
     cameras, count = len(structure.cameras), len(columns)
-    border = on_host(q.border)
+    border = q.border
     if layout.own_cameras:
-        own = on_host(q.images)[plan.order.camera][:, EXTERIOR:, EXTERIOR:]
+        own = q.images[plan.order.camera][:, EXTERIOR:, EXTERIOR:]
     else:
         at = layout.camera_rows(np.arange(cameras))
         own = border[at[:, :, None], at[:, None, :]]
@@ -212,6 +213,7 @@ def _cofactors(block: Block, plan: EliminationPlan, answer: Answer, inner: Inner
     inside = slice(layout.first_parameter, layout.first_parameter + plan.order.parameters)
     eliminated = q.points
     if inner:
-        of_border, eliminated = on_host(inner.border_points), inner.points
-    points = xp.concatenate([on_host(eliminated).transpose(2, 3, 0, 1).reshape(-1, 3, 3), of_border])[plan.order.point]
-    return BlockCofactors(*map(on_device, (exterior, interior, points, border[inside, inside])))
+        of_border, eliminated = inner.border_points, inner.points
+    eliminated = eliminated.transpose(2, 3, 0, 1).reshape(-1, 3, 3)
+    points = array_module((eliminated, of_border)).concatenate([eliminated, of_border])[plan.order.point]
+    return BlockCofactors(*on_device((exterior, interior, points, border[inside, inside])))

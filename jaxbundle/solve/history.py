@@ -42,7 +42,7 @@ def history_of(entries: Iterable[HistoryEntry], max_iterations: int) -> History:
     for index, *values in entries:
         for array, value in zip(arrays, values, strict=True):
             array[index] = value
-    return History(*map(on_device, arrays))
+    return History(*on_device(arrays))
 
 
 def entry(cost: Array, damping: Array, step: Array, accepted: Array) -> History:

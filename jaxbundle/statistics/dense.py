@@ -107,7 +107,7 @@ def block_system(block: Block) -> DenseSystem:
     orthogonal, inverse, pivots, turned = _factors(
         unknowns_of(centred),
         observations,
-        on_device(free.chunks, np.int32),
+        on_device(free.chunks.astype(np.int32)),
         block.exterior.angles,
         optimised=free.number >= UNKNOWNS_FOR_OPTIMISATION,
     )

@@ -97,7 +97,7 @@ def _explained_densely(
 ) -> tuple[Float[np.ndarray, "column column"], Float[np.ndarray, " column"], float]:
     """The products (A^T C)^T N^-1 (A^T C), also with A^T v on one and both sides, by the full design matrix."""
     free = free_elements(o)
-    a = np.asarray(_design(unknowns, o, on_device(free.chunks, np.int32), optimised=False))[: free.number]
+    a = np.asarray(_design(unknowns, o, on_device(free.chunks.astype(np.int32)), optimised=False))[: free.number]
     a = a / np.linalg.norm(a, axis=1)[:, None]
     # by an orthogonal basis: for hardly determined unknowns the normal equations have no factor
     orthogonal, factor = np.linalg.qr(a.T)
@@ -260,8 +260,14 @@ def _transposed_products(
     few = eqx.tree_at(
         lambda x: (x.ray_image, x.ray_point, x.coordinates, x.weights),
         o,
-        tuple(on_device(x) for x in (np.asarray(o.ray_image)[chosen], np.asarray(o.ray_point)[chosen]))
-        + tuple(on_device(x) for x in (np.asarray(o.coordinates)[:, chosen], np.asarray(o.weights)[:, chosen] * used)),
+        on_device(
+            (
+                np.asarray(o.ray_image)[chosen],
+                np.asarray(o.ray_point)[chosen],
+                np.asarray(o.coordinates)[:, chosen],
+                np.asarray(o.weights)[:, chosen] * used,
+            )
+        ),
     )
     observations, count = c.get_shape()
     rows = np.concatenate([(2 * touched[:, None] + np.arange(2)).ravel(), np.arange(2 * rays, observations)])
