@@ -29,13 +29,14 @@ FEWEST_MEMBERS = 32  # of a padded group: small blocks with equal kinds of obser
 
 def problem(plan: EliminationPlan, block: Block) -> Problem:
     """The observations of a block in elimination order."""
+    pairs = tuple(None if pair is None else _padded_pairs(pair) for pair in plan.group_pairs)
+    diagonal_pair, group_pairs = on_device((plan.diagonal_pair, pairs))
     return Problem(
         _observations(plan, block),
         tuple(_tiles(part, block, plan.devices) for part in plan.parts),
         _border_rays(plan, block),
-        *on_device(
-            (plan.diagonal_pair, tuple(None if pair is None else _padded_pairs(pair) for pair in plan.group_pairs))
-        ),
+        diagonal_pair,
+        group_pairs,
         reduced_solver(plan.reduced),
         plan.layout,
         plan.devices,
@@ -144,15 +145,26 @@ def _observations(plan: EliminationPlan, block: Block) -> Observations:
         spread(structure.point_free.T, o.point, o.points, False),
         None if in_angles is None else spread(in_angles[None], o.image, o.images, False)[0],
     )
-    no_rays = (np.zeros(0, np.int32), np.zeros(0, np.int32),
-               np.zeros((structure.model.numbers, 0)), np.zeros((structure.model.components, 0)))  # fmt: skip
+    image_camera, *no_rays = on_device(
+        (
+            image_camera.astype(np.int32),
+            *(np.zeros(0, np.int32), np.zeros(0, np.int32)),
+            *(np.zeros((number, 0)) for number in (structure.model.numbers, structure.model.components)),
+        )
+    )
+    exterior_free, interior_free, parameter_free, point_free, free_in_angles = on_device(free)
     return Observations(
         structure.model,
         structure.interior_columns,
         structure.rotation_system,
-        *on_device((image_camera.astype(np.int32), *no_rays)),
-        tuple(groups),
-        *on_device(free),
+        image_camera,
+        *no_rays,
+        groups=tuple(groups),
+        exterior_free=exterior_free,
+        interior_free=interior_free,
+        parameter_free=parameter_free,
+        point_free=point_free,
+        in_angles=free_in_angles,
     )
 
 

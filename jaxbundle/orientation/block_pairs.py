@@ -20,6 +20,7 @@ from jaxbundle.orientation.pair_kernel import PARALLEL, REJECTED, PairRays, orie
 PAIRS, RAYS, SAMPLES = 64, 48, 32  # pairs of one call: one program for all blocks
 CONSIDERED = 8 * RAYS  # rays of a pair, drawn from all, from which spread ones are selected
 MAX_SAMPLES = 512  # maximum samples of a pair
+RETRIES = 8  # further calls for pairs without an orientation: few pairs get many samples, many pairs a few
 SURE = 7.0  # -log(0.001)
 NOISE = 1.5  # factor of samples, since correct rays have random errors
 MIN_SHARE = 0.25  # minimum share of the common rays that fit an accepted pair
@@ -44,7 +45,7 @@ class BlockPairs(NamedTuple):
     @property
     def accepted(self) -> Bool[np.ndarray, " pair"]:
         """Mask of the pairs with enough fitting rays."""
-        return (self.fits >= MIN_COMMON) & (self.fits >= MIN_SHARE * self.looked_at)
+        return _enough(self.fits, self.looked_at)
 
     def only(self, chosen: Bool[np.ndarray, " pair"] | Int[np.ndarray, " chosen"]) -> "BlockPairs":
         """The selection of some pairs."""
@@ -64,35 +65,57 @@ class _Gathered(NamedTuple):
         return _Gathered(*(x[chosen] for x in self))
 
 
+class _Best(NamedTuple):
+    """The best and the second orientation of each pair so far: R and t in rows, and their costs."""
+
+    values: Float[np.ndarray, "pair 12 2"]
+    costs: Float[np.ndarray, "pair 2"]
+
+
 def block_pairs(directions: Directions, common: CommonRays) -> BlockPairs:
     """Computes the orientations of all pairs."""
     rng = np.random.default_rng(0)  # a fixed seed: the same block gives the same start
     rays = _gathered(directions, common, rng)
     count = len(common.pairs)
-    values, costs = np.zeros((count, 12, 2)), np.full((count, 2), np.inf)
-    optimised = count >= PAIRS_FOR_OPTIMISATION
+    best = _Best(np.zeros((count, 12, 2)), np.full((count, 2), np.inf))
     left, drawn = np.arange(count), np.zeros(count, int)
     while len(left):
-        # a few pairs are sampled several times: the last call is filled with others
-        calls = [np.resize(left[start : start + PAIRS], PAIRS) for start in range(0, len(left), PAIRS)]
-        seeded = list(zip(calls, rng.spawn(len(calls)), strict=True))
-        oriented = on_cores(lambda call: _oriented(rays, *call, optimised), seeded)
-        for chosen, (new, new_costs) in zip(calls, oriented, strict=True):
-            drawn += SAMPLES * np.bincount(chosen, minlength=count)
-            order = np.argsort(-new_costs[:, 0], kind="stable")  # the best of several results of a pair is written last
-            order = order[new_costs[order, 0] < costs[chosen[order], 0]]
-            values[chosen[order]], costs[chosen[order]] = new[order], new_costs[order]
-        share = _looked_at(rays.only(left), values[left])[0] / np.maximum(rays.valid[left].sum(1), 1)
+        drawn += _sampled(rays, left, best, rng)
+        share = _looked_at(rays.only(left), best.values[left])[0] / np.maximum(rays.valid[left].sum(1), 1)
         needed = NOISE * SURE / np.maximum(share, 0.1) ** 5
         left = left[drawn[left] < np.minimum(needed, MAX_SAMPLES)]
+    values, costs, looked_at = *best, rays.valid.sum(1)
+    for _ in range(RETRIES):
+        left = np.flatnonzero(~_enough(_looked_at(rays, values)[0], looked_at))[:PAIRS]
+        if not len(left):
+            break
+        _sampled(rays, left, best, rng)
     fits, parallax = _looked_at(rays, values)
     values[..., 1] = np.where(np.isfinite(costs[:, 1:]), values[..., 1], values[..., 0])
     rotation = values[:, :9].reshape(count, 3, 3, 2).transpose(0, 3, 1, 2)
     with np.errstate(invalid="ignore"):
         second = np.nan_to_num(costs[:, 1] / np.maximum(costs[:, 0], 1e-12), nan=np.inf)
-    return BlockPairs(
-        common.pairs, rotation, values[:, 9:].transpose(0, 2, 1), fits, rays.valid.sum(1), parallax, second
-    )
+    return BlockPairs(common.pairs, rotation, values[:, 9:].transpose(0, 2, 1), fits, looked_at, parallax, second)
+
+
+def _enough(fits: Int[np.ndarray, " pair"], looked_at: Int[np.ndarray, " pair"]) -> Bool[np.ndarray, " pair"]:
+    return (fits >= MIN_COMMON) & (fits >= MIN_SHARE * looked_at)
+
+
+def _sampled(
+    rays: _Gathered, pairs: Int[np.ndarray, " chosen"], best: _Best, rng: np.random.Generator
+) -> Int[np.ndarray, " pair"]:
+    """One round of samples of some pairs, which improves `best`; returns the number of samples of each pair."""
+    count = len(best.costs)
+    # a few pairs are sampled several times: the last call is filled with others
+    calls = [np.resize(pairs[start : start + PAIRS], PAIRS) for start in range(0, len(pairs), PAIRS)]
+    seeded = list(zip(calls, rng.spawn(len(calls)), strict=True))
+    oriented = on_cores(lambda call: _oriented(rays, *call, count >= PAIRS_FOR_OPTIMISATION), seeded)
+    for chosen, (new, new_costs) in zip(calls, oriented, strict=True):
+        order = np.argsort(-new_costs[:, 0], kind="stable")  # the best of several results of a pair is written last
+        order = order[new_costs[order, 0] < best.costs[chosen[order], 0]]
+        best.values[chosen[order]], best.costs[chosen[order]] = new[order], new_costs[order]
+    return SAMPLES * np.bincount(np.concatenate(calls), minlength=count)
 
 
 def _gathered(directions: Directions, common: CommonRays, rng: np.random.Generator) -> _Gathered:
