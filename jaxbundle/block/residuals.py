@@ -77,16 +77,34 @@ def observations_of(block: Block) -> Observations:
     """The observations of a block as arrays."""
     structure, in_angles = block.structure, corrected_in_angles(block.structure)
     coordinates, sigmas = on_host((block.rays.coordinates, block.rays.sigmas))
-    indices = structure.image_camera, structure.ray_image, structure.ray_point
-    interior_free = structure.interior_free.T[list(structure.interior_columns)]
-    free = structure.exterior_free.T, interior_free, structure.parameter_free, structure.point_free.T, in_angles
+    image_camera, ray_image, ray_point = on_device(
+        tuple(x.astype(np.int32) for x in (structure.image_camera, structure.ray_image, structure.ray_point))
+    )
+    measured, weights = on_device((coordinates.T, 1 / sigmas.T))
+    exterior_free, interior_free, parameter_free, point_free, free_in_angles = on_device(
+        (
+            structure.exterior_free.T,
+            structure.interior_free.T[list(structure.interior_columns)],
+            structure.parameter_free,
+            structure.point_free.T,
+            in_angles,
+        )
+    )
     return Observations(
         structure.model,
         structure.interior_columns,
         structure.rotation_system,
-        *on_device((*(index.astype(np.int32) for index in indices), coordinates.T, 1 / sigmas.T)),
+        image_camera,
+        ray_image,
+        ray_point,
+        measured,
+        weights,
         tuple(group_arrays(group, group.structure.indices.T) for group in block.groups),
-        *on_device(free),
+        exterior_free,
+        interior_free,
+        parameter_free,
+        point_free,
+        free_in_angles,
     )
 
 

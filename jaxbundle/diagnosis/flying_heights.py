@@ -58,11 +58,12 @@ def _distances_and_heights(
     block: Block, cameras: list[int], images: list[Int[np.ndarray, " _image"]]
 ) -> Float[Array, "camera 2"]:
     """Joint covariance of c and mean Z0 of each camera."""
-    s, centres = block.structure, block.exterior.projection_centre
+    s, shares = block.structure, np.zeros((len(cameras), len(block.structure.image_names)))
+    for share, own in zip(shares, images, strict=True):
+        share[own] = 1 / len(own)
     places = [s.cameras[c].model.elements.index(ELEMENT) for c in cameras]
-    distances = [block.interior.elements[c, k] for c, k in zip(cameras, places, strict=True)]
-    heights = [jnp.mean(centres[own, 2]) for own in images]
-    return jnp.stack([jnp.stack(pair) for pair in zip(distances, heights, strict=True)])
+    distances = block.interior.elements[np.array(cameras), np.array(places)]
+    return jnp.stack([distances, shares @ block.exterior.projection_centre[:, 2]], 1)
 
 
 def _finding(block: Block, camera: int, r: float, images: int) -> Finding:

@@ -6,8 +6,9 @@ Q F^T comes from the factorised normal equations, with one pass through the tile
 """
 
 from collections.abc import Callable
-from typing import Any, NamedTuple
+from typing import NamedTuple
 
+import equinox as eqx
 import jax
 import jax.numpy as jnp
 import numpy as np
@@ -17,6 +18,7 @@ from jaxbundle.block.block import Block
 from jaxbundle.block.datum import with_datum
 from jaxbundle.block.given import require_a
 from jaxbundle.block.unknowns import angle_derivatives, unknowns_of
+from jaxbundle.geometry.rotation import RotationSystem
 from jaxbundle.normals.from_block import BlockVectors, ordered_vectors, problem, to_elimination_order
 from jaxbundle.normals.plan.elimination_plan import EliminationPlan
 from jaxbundle.normals.plan.known_plans import planned
@@ -24,6 +26,7 @@ from jaxbundle.normals.problem import NormalVector, OrderedUnknowns, Problem
 from jaxbundle.normals.solve_normals import inverse_products
 from jaxbundle.numerics.compilation import RAYS_FOR_OPTIMISATION, Compiled
 from jaxbundle.numerics.host import on_device
+from jaxbundle.numerics.shapes import grid_size
 from jaxbundle.numerics.trial import first_line
 from jaxbundle.solve.adjustment import Adjustment
 from jaxbundle.solve.free_network import carrying_places, with_inner_constraints
@@ -87,13 +90,29 @@ def covariance_of(adjustment: Adjustment, function: Callable[[Block], Array]) ->
     return Estimated(values, covariance.reshape(values.shape * 2))
 
 
-def _linearised(block: Block, function: Callable[[Block], Array]) -> tuple[Float[np.ndarray, "*shape"], Block]:
+class _Rows(NamedTuple):
+    """Derivatives of a function with respect to the unknowns of a block, one row for each of its values."""
+
+    centre: Float[np.ndarray, "function image 3"]
+    angles: Float[np.ndarray, "function image 3"]
+    interior: Float[np.ndarray, "function camera element"]
+    points: Float[np.ndarray, "function point 3"]
+    parameters: Float[np.ndarray, "function parameter"]
+
+
+def _unknown_values(block: Block) -> tuple:
+    exterior = block.exterior
+    elements = block.interior.elements
+    return exterior.projection_centre, exterior.angles, elements, block.object_points, block.parameters
+
+
+def _linearised(block: Block, function: Callable[[Block], Array]) -> tuple[Float[np.ndarray, "*shape"], _Rows]:
     """A user's function at the adjusted block: its values, and its derivatives, one row for each value."""
     if not callable(function):
         raise TypeError(f"covariance_of needs a function of the block, not {type(function).__name__}: {EXAMPLE}")
 
-    def vector(block: Block) -> Float[Array, " function"]:
-        return jnp.ravel(jnp.asarray(function(block)))
+    def vector(values: tuple) -> Float[Array, " function"]:
+        return jnp.ravel(jnp.asarray(function(eqx.tree_at(_unknown_values, block, values))))
 
     try:
         returned = function(block)
@@ -109,27 +128,20 @@ def _linearised(block: Block, function: Callable[[Block], Array]) -> tuple[Float
     if not np.isfinite(values).all():
         raise ValueError(f"{_share(values)} values of the function are not finite numbers; guard its divisions")
     try:
-        derivatives = jax.jacrev(vector, allow_int=True)(block)
+        derivatives = _Rows(*map(np.asarray, jax.jacrev(vector)(_unknown_values(block))))
     except Exception as error:
         raise ValueError(
             f"the function cannot be differentiated ({type(error).__name__}: {first_line(error)}); write it with"
             f" jax.numpy: {EXAMPLE}"
         ) from error
-    names = "exterior", "interior", "object_points", "parameters"
-    for name, rows in zip(names, _by_unknowns(derivatives), strict=True):
+    names = "projection centres", "angles", "interior", "object_points", "parameters"
+    for name, rows in zip(names, derivatives, strict=True):
         if not np.isfinite(rows).all():
             raise ValueError(
                 f"{_share(rows)} derivatives of the function with respect to the {name} are not finite numbers;"
                 " guard roots of 0 and divisions by jnp.where"
             )
     return values, derivatives
-
-
-def _by_unknowns(derivatives: Block) -> tuple[np.ndarray, ...]:
-    """Derivatives of the function with respect to the unknowns."""
-    exterior = [np.asarray(x) for x in (derivatives.exterior.projection_centre, derivatives.exterior.angles)]
-    others = derivatives.interior.elements, derivatives.object_points, derivatives.parameters
-    return np.stack(exterior), *map(np.asarray, others)
 
 
 def _share(values: np.ndarray) -> str:
@@ -146,20 +158,35 @@ def _cofactors(
     return inverse_products(unknowns, p, rows)
 
 
-def _arranged_rows(plan: EliminationPlan, block: Block, derivatives: Any) -> NormalVector:
+def _arranged_rows(plan: EliminationPlan, block: Block, derivatives: _Rows) -> NormalVector:
     """The matrix F in elimination order, with respect to the angles of the corrections."""
-    structure, unknowns = block.structure, unknowns_of(block)
-    turned = np.asarray(angle_derivatives(unknowns.rotation, None, block.exterior.angles.T, structure.rotation_system))
-    by_angles = np.einsum("fia,abi->fib", np.asarray(derivatives.exterior.angles), turned)
-    by_centre = np.asarray(derivatives.exterior.projection_centre)
-    by_interior = np.asarray(derivatives.interior.elements)[:, :, list(structure.interior_columns)]
+    structure, turned = block.structure, _angles_by_corrections(block)
+    by_angles = np.einsum("fia,abi->fib", derivatives.angles, turned)
     rows = BlockVectors(
-        np.concatenate([by_centre, by_angles], 2),
-        by_interior,
-        np.asarray(derivatives.parameters),
-        np.asarray(derivatives.object_points),
+        np.concatenate([derivatives.centre, by_angles], 2),
+        derivatives.interior[:, :, list(structure.interior_columns)],
+        derivatives.parameters,
+        derivatives.points,
     )
-    return jax.tree.map(on_device, ordered_vectors(plan, structure, rows))
+    return on_device(ordered_vectors(plan, structure, rows))
+
+
+def _angles_by_corrections(block: Block) -> Float[np.ndarray, "3 3 image"]:
+    """Derivatives of the user's angles with respect to those of the corrections."""
+    angles, system = np.asarray(block.exterior.angles).T, block.structure.rotation_system
+    images = angles.shape[1]
+    matrix = np.repeat(np.eye(3).reshape(9, 1), grid_size(images), 1)
+    reference = np.zeros((3, matrix.shape[1]))
+    matrix[:, :images], reference[:, :images] = unknowns_of(block).rotation, angles
+    turned = _compiled_angle_derivatives(*on_device((matrix, reference)), system, optimised=False)
+    return np.asarray(turned)[..., :images]
+
+
+@Compiled
+def _compiled_angle_derivatives(
+    matrix: Float[Array, "9 image"], reference: Float[Array, "3 image"], system: RotationSystem
+) -> Float[Array, "3 3 image"]:
+    return angle_derivatives(matrix, None, reference, system)
 
 
 def error_ellipsoids(adjustment: Adjustment) -> Ellipsoids:
