@@ -66,6 +66,7 @@ def test_own_observation(printed):
     assert level and abs(float(level[1])) < 3 * float(level[2])
 
 
+@pytest.mark.thorough
 def test_sensitivity_to_control(printed):
     out = printed("05_sensitivity_to_control.py")
     together = re.search(r"check points by ([\d.]+) to ([\d.]+) m", out)
@@ -74,6 +75,7 @@ def test_sensitivity_to_control(printed):
     assert off < 0.01 * min(told, done)
 
 
+@pytest.mark.thorough
 def test_learned_distortion(printed):
     out = printed("06_learned_distortion.py")
     without, learned, true = (float(rms) for rms in re.findall(r"test points +([\d.]+) mm", out))

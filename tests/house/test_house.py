@@ -12,11 +12,14 @@ ROOT = Path(__file__).parents[2]
 @pytest.mark.parametrize(
     "command",
     [
-        ("ruff", "format", "--check", "."),
-        ("ruff", "check", "."),
-        ("basedpyright", "--level", "error", "--pythonpath", sys.executable),
+        pytest.param(("ruff", "format", "--check", "."), id="format"),
+        pytest.param(("ruff", "check", "."), id="lint"),
+        pytest.param(
+            ("basedpyright", "--level", "error", "--pythonpath", sys.executable),
+            id="types",
+            marks=pytest.mark.thorough,  # two minutes
+        ),
     ],
-    ids=["format", "lint", "types"],
 )
 def test_house(command: tuple[str, ...]) -> None:
     done = subprocess.run([sys.executable, "-m", *command], cwd=ROOT, capture_output=True, text=True, check=False)

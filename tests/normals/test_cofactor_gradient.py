@@ -22,6 +22,7 @@ from jaxbundle.solve import implicit_precision
 
 CASES = {
     "all forms": lambda: case("all forms"),
+    "strip": strip,
     "private cameras": lambda: BLOCKS["private cameras"](small_block(noise=1.0).block),
 }
 
@@ -78,10 +79,10 @@ def assert_equal(one: tuple, other: tuple) -> None:
 @pytest.mark.parametrize(
     ("name", "devices"),
     [
-        ("all forms", 1),
+        ("strip", 1),
         *(
             pytest.param(name, count, marks=pytest.mark.thorough)
-            for name, count in (("all forms", 2), ("private cameras", 1))
+            for name, count in (("all forms", 1), ("all forms", 2), ("private cameras", 1))
         ),
     ],
 )

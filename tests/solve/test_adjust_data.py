@@ -40,12 +40,12 @@ def assert_as_expected(adjustment: Adjustment, folder: Path, out: Path) -> None:
     assert judged.returncode == 0, judged.stdout + judged.stderr
 
 
-# the block of the second of each pair is the same, with more unknowns
-COVERED = ("camcal-c1-fixed", "camcal-c2-weighted")
+# the last block of camcal is the same with more unknowns; roma is large
+THOROUGH = ("camcal-c1-fixed", "camcal-c2-weighted", "roma")
 
 
 @pytest.mark.parametrize(
-    "name", [pytest.param(name, marks=pytest.mark.thorough) if name in COVERED else name for name in BLOCKS]
+    "name", [pytest.param(name, marks=pytest.mark.thorough) if name in THOROUGH else name for name in BLOCKS]
 )
 def test_block_folders(shared_data, tmp_path, name):
     """Every value, standard deviation and count of expected.json."""
@@ -65,7 +65,10 @@ def test_block_folders(shared_data, tmp_path, name):
         assert math.sqrt(float(adjustment.vtpv)) == pytest.approx(185.93972, abs=5e-6)
 
 
-@pytest.mark.parametrize("estimate_interior", [True, False], ids=["free interior", "held interior"])
+@pytest.mark.parametrize(
+    "estimate_interior",
+    [pytest.param(True, id="free interior", marks=pytest.mark.thorough), pytest.param(False, id="held interior")],
+)
 def test_ladybug(shared_data, estimate_interior):
     """The seven elements of the datum are chosen; the minimum does not depend on them."""
     file = "problem-49-7776-pre.txt"

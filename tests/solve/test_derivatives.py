@@ -118,6 +118,7 @@ def test_exact_derivatives_are_those_of_differences(differences, forward):
         np.testing.assert_allclose(forward[name], expected, rtol=1e-6, atol=1e-7 * np.abs(expected).max(), err_msg=name)
 
 
+@pytest.mark.thorough
 def test_reverse_mode_gives_the_same(linear, forward):
     transposed = jax.jit(jax.linear_transpose(linear, START))
     for unit, (name, expected) in zip(jnp.eye(len(forward)), forward.items(), strict=True):

@@ -64,7 +64,8 @@ def adjusted_by_two(folder: Path, blocks: tuple[Path, Path], solver: str) -> lis
     )
 
 
-@pytest.mark.parametrize("solver", ["panels", pytest.param("dense", marks=pytest.mark.thorough)])
+@pytest.mark.thorough
+@pytest.mark.parametrize("solver", ["panels", "dense"])
 def test_two_processes_give_the_answer_of_one_which_the_first_writes(tmp_path: Path, solver: Method) -> None:
     folder = tmp_path / "block"
     write_block_folder(long_block().block, folder)
