@@ -25,9 +25,9 @@ from jaxtyping import Array, Bool, Float, Int
 
 from jaxbundle.block.block import Block
 from jaxbundle.block.given import require_a
-from jaxbundle.block.observed_places import frame_of, observed_places
+from jaxbundle.block.observed_places import Frame, frame_of, observed_places
 from jaxbundle.block.problems import Problem
-from jaxbundle.block.residuals import Group, Observations, group_residuals, observations_of, weighted
+from jaxbundle.block.residuals import Group, group_arrays, group_residuals, weighted
 from jaxbundle.block.similarity_defect import (
     RANK_TOLERANCE,
     SimilarityDefect,
@@ -37,12 +37,14 @@ from jaxbundle.block.similarity_defect import (
 )
 from jaxbundle.block.unknowns import Unknowns, unknowns_of
 from jaxbundle.geometry import rotation
+from jaxbundle.geometry.rotation import RotationSystem
 from jaxbundle.numerics.compilation import Compiled
 from jaxbundle.numerics.host import on_device
-from jaxbundle.numerics.shapes import grid_size
+from jaxbundle.numerics.shapes import grid_size, padded
 
 AT_REST = 1e-6  # share of the radius: a position with a smaller displacement is at rest
 MAX_NAMED = 3
+MIN_POINTS, MIN_MEMBERS = 64, 32  # of padded arrays
 
 
 @dataclass(frozen=True)
@@ -89,32 +91,43 @@ def transformed(unknowns: Unknowns, parameters: Float[Array, "7"], radius: Array
     return Unknowns(matrix, moved(unknowns.centre), unknowns.interior, unknowns.parameters, moved(unknowns.points))
 
 
+class _Carriers(NamedTuple):
+    """What determines the datum: groups of observations, and points and images with a fixed element.
+
+    Arrays are padded, so blocks with equal kinds of observations share a program.
+    """
+
+    unknowns: Unknowns
+    groups: tuple[Group, ...]
+    exterior_free: Bool[Array, "6 image"]
+    point_free: Bool[Array, "3 point"]
+    fixed: Int[Array, " point"]
+    held: Int[Array, " image"]
+    radius: Float[Array, ""]
+
+
 @Compiled
 def _datum_rows(
-    unknowns: Unknowns,
-    observations: Observations,
-    fixed: Int[Array, " point"],
-    held: Int[Array, " image"],
-    radius: Float[Array, ""],
+    system: RotationSystem, carriers: _Carriers
 ) -> tuple[Float[Array, "row column"], Float[Array, "weighted_row column"]]:
     """Derivatives of fixed elements and observations with respect to the datum and the parameters.
 
     The rows are in units of the block's radius; those of observations are also returned with their weights.
 
-    `fixed`, `held`: points and images with a fixed element; the rows of their free elements are 0.
+    The rows of free elements of points and images with a fixed element are 0.
     """
-    o = observations
+    unknowns, groups, exterior_free, point_free, fixed, held, radius = carriers
 
     def carried(changes: Float[Array, " column"]) -> tuple[list[Float[Array, " _row"]], ...]:
         moved = transformed(unknowns, changes[:7], radius)
         moved = Unknowns(moved.rotation, moved.centre, moved.interior, moved.parameters + changes[7:], moved.points)
-        angles = jnp.stack(o.system.angles_from_rotation(tuple(moved.rotation[:, held])))
+        angles = jnp.stack(system.angles_from_rotation(tuple(moved.rotation[:, held])))
         exterior = jnp.concatenate([moved.centre[:, held] / radius, angles])
-        points = jnp.where(o.point_free[:, fixed], 0.0, moved.points[:, fixed])
-        rows = [points / radius, jnp.where(o.exterior_free[:, held], 0.0, exterior)]
-        residuals = [group_residuals(moved, group) for group in o.groups]
-        rows += [jnp.where(_is_observed(group), v, 0.0) / radius for v, group in zip(residuals, o.groups, strict=True)]
-        of_groups = [weighted(v, group).ravel() for v, group in zip(residuals, o.groups, strict=True)]
+        points = jnp.where(point_free[:, fixed], 0.0, moved.points[:, fixed])
+        rows = [points / radius, jnp.where(exterior_free[:, held], 0.0, exterior)]
+        residuals = [group_residuals(moved, group) for group in groups]
+        rows += [jnp.where(_is_observed(group), v, 0.0) / radius for v, group in zip(residuals, groups, strict=True)]
+        of_groups = [weighted(v, group).ravel() for v, group in zip(residuals, groups, strict=True)]
         return [row.ravel() for row in rows], of_groups
 
     rows, of_groups = jax.jacfwd(carried)(jnp.zeros(7 + unknowns.parameters.shape[0]))
@@ -159,18 +172,29 @@ def datum_equations(block: Block) -> DatumEquations | None:
         np.where(np.isfinite(x).all(1, keepdims=True), x, 0.0)
         for x in map(
             np.asarray,
-            _datum_rows(
-                unknowns_of(frame.block),
-                observations_of(frame.block),
-                _padded_indices(fixed),
-                _padded_indices(held),
-                on_device(frame.radius),
-                optimised=False,
-            ),
+            _datum_rows(structure.rotation_system, _carriers(frame, fixed, held), optimised=False),
         )
     )
     count = len(rows) - len(of_groups)
     return DatumEquations(rows[:count], rows[count:], of_groups, free)
+
+
+def _carriers(frame: Frame, fixed: Bool[np.ndarray, " point"], held: Bool[np.ndarray, " image"]) -> _Carriers:
+    block = frame.block
+    u, structure = unknowns_of(block), block.structure
+    unknowns = Unknowns(
+        *on_device((padded(u.rotation), padded(u.centre), padded(u.interior, 1))),
+        u.parameters,
+        on_device(padded(u.points, MIN_POINTS)),
+    )
+    groups = tuple(
+        group_arrays(group, group.structure.indices.T, grid_size(group.values.shape[0], MIN_MEMBERS))
+        for group in block.groups
+    )
+    free = padded(structure.exterior_free.T), padded(structure.point_free.T, MIN_POINTS)
+    return _Carriers(
+        unknowns, groups, *on_device(free), _padded_indices(fixed), _padded_indices(held), on_device(frame.radius)
+    )
 
 
 def null_space(block: Block) -> Float[np.ndarray, "column defect"]:

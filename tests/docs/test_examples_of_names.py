@@ -40,11 +40,8 @@ NEEDED = {"jaxbundle.report.rerun_file.to_rerun": "rerun"}
 MANY_PROGRAMS = (
     "jaxbundle.independent.",
     "jaxbundle.orientation.relative_orientations.",
-    "jaxbundle.planning.control_candidates.",
     "jaxbundle.planning.control_search.",
     "jaxbundle.planning.design_derivatives.",
-    "jaxbundle.planning.monte_carlo_runs.",
-    "jaxbundle.planning.sensitivities.",
     "jaxbundle.report.method_report.",
 )
 
