@@ -18,8 +18,11 @@ from jaxbundle.block.block import Block
 from jaxbundle.block.given import require_a
 from jaxbundle.block.unknowns import unknowns_of
 from jaxbundle.camera.direction import direction
+from jaxbundle.camera.model import CameraModel
 from jaxbundle.geometry import rotation
+from jaxbundle.numerics.compilation import Compiled
 from jaxbundle.numerics.host import array_module, is_concrete, on_device, on_host
+from jaxbundle.numerics.shapes import padded
 
 PARALLEL = 1e-12  # squared sine of the angle between two rays: below this the intersection is determined by rounding
 
@@ -42,20 +45,37 @@ def intersect(block: Block) -> Block:
     if not len(rays):
         return block
     image = block.structure.ray_image[rays]
-    directions = on_host(_directions(block, on_device(rays), on_device(image)))
+    directions = _directions(block, rays, image)
     centres = on_host(block.exterior.projection_centre).T[:, image]
     closest = closest_to_rays(directions, centres, ray_point[rays], len(points))
     return eqx.tree_at(lambda b: b.object_points, block, on_device(xp.where(missing, closest.T, points)))
 
 
-@eqx.filter_jit
-def _directions(block: Block, rays: Int[Array, " ray"], image: Int[Array, " ray"]) -> Float[Array, "3 ray"]:
-    """Unit vectors along the rays in the object system."""
+def _directions(
+    block: Block, rays: Int[np.ndarray, " ray"], image: Int[np.ndarray, " ray"]
+) -> Float[Array | np.ndarray, "3 ray"]:
+    """Unit vectors along the rays in the object system; concrete arrays are padded for the program."""
     structure, unknowns = block.structure, unknowns_of(block)
-    interior = tuple(unknowns.interior[:, jnp.asarray(structure.image_camera)[image]])
-    x, y = block.rays.coordinates[rays].T
-    along = direction(structure.model, interior, (x, y))
-    return jnp.stack(rotation.apply(tuple(unknowns.rotation[:, image]), along))
+    rotations, interior, coordinates = on_host((unknowns.rotation, unknowns.interior, block.rays.coordinates))
+    coordinates, indices = coordinates[rays].T, (image, structure.image_camera[image])
+    if block.concrete:
+        rotations, interior, coordinates = padded(rotations), padded(interior, 1), padded(coordinates)
+        indices = tuple(map(padded, indices))
+    values = rotations, interior, coordinates, *(index.astype(np.int32) for index in indices)
+    return on_host(_along(structure.model, *on_device(values), optimised=False))[:, : len(rays)]
+
+
+@Compiled
+def _along(
+    model: CameraModel,
+    rotations: Float[Array, "9 image"],
+    interior: Float[Array, "element camera"],
+    coordinates: Float[Array, "2 ray"],
+    image: Int[Array, " ray"],
+    camera: Int[Array, " ray"],
+) -> Float[Array, "3 ray"]:
+    along = direction(model, tuple(interior[:, camera]), (coordinates[0], coordinates[1]))
+    return jnp.stack(rotation.apply(tuple(rotations[:, image]), along))
 
 
 def closest_to_rays(

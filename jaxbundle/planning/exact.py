@@ -1,15 +1,29 @@
 """Image coordinates with zero residuals of the image equation, for any camera model."""
 
-import equinox as eqx
+from typing import NamedTuple
+
 import jax.numpy as jnp
 import numpy as np
-from jaxtyping import Array, Float
+from jaxtyping import Array, Float, Int
 
 from jaxbundle.block.block import Block
-from jaxbundle.block.residuals import Observations, observations_of
 from jaxbundle.block.unknowns import Unknowns, unknowns_of
 from jaxbundle.camera.collinearity import photo_vector
+from jaxbundle.camera.model import CameraModel
 from jaxbundle.camera.projection import projection
+from jaxbundle.numerics.compilation import Compiled
+from jaxbundle.numerics.host import on_device
+from jaxbundle.numerics.shapes import padded
+
+MIN_POINTS = 64  # of padded arrays
+
+
+class _Rays(NamedTuple):
+    """Indices of the images, cameras and points of the rays."""
+
+    image: Int[Array, " ray"]
+    camera: Int[Array, " ray"]
+    point: Int[Array, " ray"]
 
 
 def exact_coordinates(block: Block) -> tuple[Float[np.ndarray, "ray 2"], Float[np.ndarray, "ray 2"]]:
@@ -18,21 +32,31 @@ def exact_coordinates(block: Block) -> tuple[Float[np.ndarray, "ray 2"], Float[n
     By Newton's method from the principal point, so any camera model can be used; one step is exact for models that do
     not correct the measurement.
     """
-    coordinates, left = _exact(unknowns_of(block), observations_of(block))
-    return np.asarray(coordinates.T), np.asarray(left.T)
+    u, count = unknowns_of(block), len(block.structure.ray_image)
+    places = padded(u.rotation), padded(u.centre), padded(u.interior, 1)
+    unknowns = Unknowns(*on_device((*places, np.zeros(0), padded(u.points, MIN_POINTS))))
+    rays = _Rays(*on_device(tuple(padded(index, MIN_POINTS) for index in _indices(block))))
+    coordinates, left = _exact(block.structure.model, unknowns, rays, optimised=False)
+    return np.asarray(coordinates).T[:count], np.asarray(left).T[:count]
 
 
 def traced_coordinates(block: Block) -> Float[Array, "ray 2"]:
     """The exact image coordinates as a function of the block, for jit, grad and vmap."""
-    return _exact(unknowns_of(block), observations_of(block))[0].T
+    rays = _Rays(*on_device(_indices(block)))
+    return _exact(block.structure.model, unknowns_of(block), rays, optimised=False)[0].T
 
 
-@eqx.filter_jit
-def _exact(unknowns: Unknowns, observations: Observations) -> tuple[Float[Array, "2 ray"], Float[Array, "2 ray"]]:
-    image, point = observations.ray_image, observations.ray_point
-    interior = tuple(unknowns.interior[:, observations.image_camera[image]])
+def _indices(block: Block) -> tuple[Int[np.ndarray, " ray"], ...]:
+    s = block.structure
+    return tuple(index.astype(np.int32) for index in (s.ray_image, s.image_camera[s.ray_image], s.ray_point))
+
+
+@Compiled
+def _exact(model: CameraModel, unknowns: Unknowns, rays: _Rays) -> tuple[Float[Array, "2 ray"], Float[Array, "2 ray"]]:
+    image, camera, point = rays
+    interior = tuple(unknowns.interior[:, camera])
     vector = photo_vector(
         tuple(unknowns.rotation[:, image]), tuple(unknowns.centre[:, image]), tuple(unknowns.points[:, point])
     )
-    measured = projection(observations.model, interior, vector)
-    return jnp.stack(measured), jnp.stack(observations.model.residual(interior, vector, measured))
+    measured = projection(model, interior, vector)
+    return jnp.stack(measured), jnp.stack(model.residual(interior, vector, measured))
