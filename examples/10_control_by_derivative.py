@@ -1,9 +1,10 @@
-"""Where should four control points stand? The derivative of the predicted accuracy tells, an exchange search checks.
+"""Where should five control points stand? The derivative of the predicted accuracy tells, an exchange search checks.
 
 A block of two strips, seen by the covariance alone: nothing is measured and nothing is adjusted. The points start in
-the middle of the block; jax.grad of the mean predicted variance goes back through the normal equations to their
-positions, and they walk as long as the variance falls. The best four of all tie point places, found by exchange on the
-covariance, are the reference, and a convex relaxation says how much better any layout could be.
+the middle of the block, one of them between the strips, which could fold about their common points without it.
+jax.grad of the mean predicted variance goes back through the normal equations to their positions, and they walk as
+long as the variance falls. The best five of all tie point places, found by exchange on the covariance, are the
+reference, and a convex relaxation says how much better any layout could be.
 
 Prints the gradient, the mean standard deviations of the layouts and their lower bound, and draws a picture of them.
 """
@@ -19,7 +20,7 @@ jax.config.update("jax_enable_x64", True)
 
 base = 0.4 * 230 * 1500 / 153  # m: four tenths of an image on the ground
 unit = 0.005e-3 * 1500 / 0.153  # m: sigma of an image coordinate on the ground
-start = tuple((x * base, y * base) for x in (1.2, 2.8) for y in (0.2, 1.8))
+start = tuple((x * base, y * base) for x, y in ((1.2, 0.2), (1.2, 1.8), (2.8, 0.2), (2.8, 1.8), (2.0, 1.0)))
 sigmas = (0.5 * unit,) * 3
 control = pl.ControlSet("points", sigmas=sigmas, points=start)
 plan = pl.schematic(strips=2, images=5, ties=pl.Ties("grid", 12), control=(control,))
@@ -40,7 +41,7 @@ print("walk against the gradient:", " ".join(f"{v**0.5 / unit:.2f}" for v in val
 
 free = pl.simulate_flight(dataclasses.replace(plan, control=())).truth
 candidates = pl.candidates_of(free, np.arange(len(free.structure.point_names)), sigmas)
-layout = pl.best_layout(candidates, 4)
+layout = pl.best_layout(candidates, len(start))
 bound = layout.bound**0.5
 print(
     f"exchange over {len(candidates.points)} places: {layout.objective**0.5 / unit:.2f}, lower bound {bound / unit:.2f}"

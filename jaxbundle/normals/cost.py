@@ -119,8 +119,9 @@ def rounding_noise(p: Problem) -> Float[Array, ""]:
     """The cost v^T P v / 2 of rounding errors: a few operations on the measured numbers."""
     eps = 4 * jnp.finfo(p.border_rays.measured.dtype).eps
     rays = [(t.measured, t.weights, 2) for t in p.tiles] + [(p.border_rays.measured, p.border_rays.weights, 0)]
-    squares = [jnp.sum((lax.slice_in_dim(m, 0, w.shape[axis], axis=axis) * w) ** 2) for m, w, axis in rays]
-    return 0.5 * eps**2 * sum(squares, jnp.zeros(()))
+    sizes = [lax.slice_in_dim(m, 0, w.shape[axis], axis=axis) * w for m, w, axis in rays]
+    sizes += [g.weights * (g.values if g.weights.ndim == 2 else g.values[None]) for g in p.observations.groups]
+    return 0.5 * eps**2 * sum((jnp.sum(size**2) for size in sizes), jnp.zeros(()))
 
 
 class _Rays(NamedTuple):

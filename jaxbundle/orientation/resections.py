@@ -18,9 +18,10 @@ from jaxtyping import Array, ArrayLike, Bool, Float, Int, Real
 from jaxbundle.camera.model import CameraModel
 from jaxbundle.geometry.rotation import OMEGA_PHI_KAPPA, RotationSystem
 from jaxbundle.numerics.compilation import Compiled
-from jaxbundle.numerics.host import is_concrete
+from jaxbundle.numerics.host import is_concrete, on_device
 from jaxbundle.numerics.nested import Nested
 from jaxbundle.numerics.program_cache import prepare_jax
+from jaxbundle.numerics.shapes import padded
 from jaxbundle.orientation.adjusted_image import Start, adjusted_image
 from jaxbundle.orientation.one_image import Measured
 from jaxbundle.orientation.six_unknowns import UNKNOWNS
@@ -111,8 +112,20 @@ def resection(
     place = None if start is None else (jnp.asarray(start[0], float), jnp.asarray(start[1], float))
     if is_concrete((given, place)):
         _require_values(*given, place)
-        return _program(model, system, max_iterations, *given, place, optimised=False)
+        return _concrete(model, system, max_iterations, given, place)
     return _traced(model, system, max_iterations, *given, place)
+
+
+def _concrete(
+    model: CameraModel, system: RotationSystem, most: int, given: tuple[Array, ...], start: tuple[Array, Array] | None
+) -> Resection:
+    """Padded by excluded points: different numbers of points share a program."""
+    interior, *of_points = given
+    count = len(of_points[0])
+    points, coordinates, sigmas = (padded(np.asarray(x).T).T for x in of_points)
+    sigmas = np.where(np.arange(len(sigmas))[:, None] < count, sigmas, np.inf)
+    found = _program(model, system, most, interior, *on_device((points, coordinates, sigmas)), start, optimised=False)
+    return eqx.tree_at(lambda r: r.residuals, found, on_device(np.asarray(found.residuals)[:count]))
 
 
 def _require(model: CameraModel, interior: Any, points: Any, coordinates: Any, start: Any) -> None:
