@@ -182,18 +182,21 @@ def datum_equations(block: Block) -> DatumEquations | None:
 def _carriers(frame: Frame, fixed: Bool[np.ndarray, " point"], held: Bool[np.ndarray, " image"]) -> _Carriers:
     block = frame.block
     u, structure = unknowns_of(block), block.structure
-    unknowns = Unknowns(
-        *on_device((padded(u.rotation), padded(u.centre), padded(u.interior, 1))),
-        u.parameters,
-        on_device(padded(u.points, MIN_POINTS)),
+    rotations, centre, interior, points = on_device(
+        (padded(u.rotation), padded(u.centre), padded(u.interior, 1), padded(u.points, MIN_POINTS))
     )
     groups = tuple(
         group_arrays(group, group.structure.indices.T, grid_size(group.values.shape[0], MIN_MEMBERS))
         for group in block.groups
     )
-    free = padded(structure.exterior_free.T), padded(structure.point_free.T, MIN_POINTS)
     return _Carriers(
-        unknowns, groups, *on_device(free), _padded_indices(fixed), _padded_indices(held), on_device(frame.radius)
+        Unknowns(rotations, centre, interior, u.parameters, points),
+        groups,
+        on_device(padded(structure.exterior_free.T)),
+        on_device(padded(structure.point_free.T, MIN_POINTS)),
+        _padded_indices(fixed),
+        _padded_indices(held),
+        on_device(frame.radius),
     )
 
 
