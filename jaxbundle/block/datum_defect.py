@@ -143,9 +143,9 @@ def _is_observed(group: Group) -> Bool[Array, "component member"]:
 def _padded_indices(mask: Bool[np.ndarray, " entity"]) -> Int[Array, " padded"]:
     """Indices where the mask is true, padded with the first entity, whose rows are 0 if it is free."""
     index = np.nonzero(mask)[0]
-    padded = np.full(grid_size(len(index)), np.argmin(mask))
-    padded[: len(index)] = index
-    return on_device(padded.astype(np.int32))
+    filled = np.full(grid_size(len(index)), np.argmin(mask), np.int32)
+    filled[: len(index)] = index
+    return on_device(filled)
 
 
 class DatumEquations(NamedTuple):

@@ -56,11 +56,12 @@ class Observations(eqx.Module):
 def group_arrays(group: ObservationGroup, indices: Int[np.ndarray, "touched member"], size: int | None = None) -> Group:
     """A group as arrays with the long axis last; `indices` in the order of the unknowns.
 
-    Padded to `size` with copies of the first member, whose weights are 0: their residuals are finite.
+    Padded to `size` with copies of the first member, whose weights are 0: their residuals are finite. An empty
+    group remains empty.
     """
     values, weights, constants = on_host((group.values, group.weights, group.constants))
     weights = weights.T if weights.ndim == 2 else weights.transpose(1, 2, 0)
-    if size is not None:
+    if size is not None and len(values):
         member = padded_members(len(values), size)
         indices, values, constants = indices[:, member], values[member], constants[member]
         weights = weights[..., member] * (np.arange(size) < weights.shape[-1])
