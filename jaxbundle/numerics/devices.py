@@ -7,6 +7,7 @@ gets the whole result (`host.on_host`).
 import os
 from collections.abc import Callable, Iterator, Sequence
 from concurrent.futures import ThreadPoolExecutor
+from contextvars import copy_context
 from typing import Any, TypeVar
 
 import jax
@@ -99,8 +100,9 @@ def on_cores(function: Callable[[Item], Result], items: Sequence[Item]) -> Itera
     items that are not begun are left out.
     """
     yield from map(function, items[:1])
+    jobs = [(copy_context(), item) for item in items[1:]]  # threads do not have the caller's numpy.errstate
     with ThreadPoolExecutor(cores()) as pool:
         try:
-            yield from pool.map(function, items[1:])
+            yield from pool.map(lambda job: job[0].run(function, job[1]), jobs)
         finally:
             pool.shutdown(cancel_futures=True)

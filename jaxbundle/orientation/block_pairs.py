@@ -20,7 +20,7 @@ from jaxbundle.orientation.pair_kernel import PARALLEL, REJECTED, PairRays, orie
 PAIRS, RAYS, SAMPLES = 64, 48, 32  # pairs of one call: one program for all blocks
 CONSIDERED = 8 * RAYS  # rays of a pair, drawn from all, from which spread ones are selected
 MAX_SAMPLES = 512  # maximum samples of a pair
-RETRIES = 8  # further calls for pairs without an orientation: few pairs get many samples, many pairs a few
+RETRIES = 8  # further calls for the first pairs without an orientation: few pairs get many samples each
 SURE = 7.0  # -log(0.001)
 NOISE = 1.5  # factor of samples, since correct rays have random errors
 MIN_SHARE = 0.25  # minimum share of the common rays that fit an accepted pair
