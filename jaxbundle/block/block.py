@@ -195,6 +195,13 @@ class Structure:
         repeat.setflags(write=False)
         return repeat
 
+    @cached_property
+    def rays_of_camera(self) -> tuple[Int[np.ndarray, " ray"], ...]:
+        """Indices of the rays of each camera, in ascending order."""
+        camera = self.image_camera[self.ray_image]
+        order = np.argsort(camera, kind="stable")
+        return tuple(np.split(order, np.searchsorted(camera[order], np.arange(1, len(self.cameras)))))
+
     @property
     def parameter_free(self) -> Bool[np.ndarray, " parameter"]:
         """Mask of the unknown parameters."""

@@ -29,7 +29,7 @@ def unusable_models(block: Block) -> list[Problem]:
     unknowns, found = unknowns_of(block), []
     rotation, centre, points = (np.asarray(x) for x in (unknowns.rotation, unknowns.centre, unknowns.points))
     for k in own:
-        rays = np.flatnonzero(s.image_camera[s.ray_image] == k)[:TRIED]
+        rays = s.rays_of_camera[k][:TRIED]
         if len(rays) == 0:
             continue
         image, model = s.ray_image[rays], s.cameras[k].model

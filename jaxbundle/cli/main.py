@@ -5,6 +5,7 @@ Exit codes: see `codes`. Any error ends with a message and an exit code, never w
 The module of a command is imported when the command is called: help and wrong options do not wait for JAX.
 """
 
+import gc
 import importlib
 import sys
 from importlib.metadata import version
@@ -60,6 +61,7 @@ app.command(rich_help_panel=_WORK)(photograph_commands.pyramid)
 
 def main() -> None:
     """Runs a command; any error ends with a message and an exit code, never with a traceback."""
+    gc.set_threshold(100_000, 20, 100)  # imports and tracing make many objects and few cycles: 1 s of each command
     try:
         app(prog_name="jaxbundle")
     except KeyboardInterrupt:

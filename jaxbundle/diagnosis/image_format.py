@@ -49,11 +49,9 @@ class _Format(NamedTuple):
 
 def format_findings(block: Block) -> list[Finding]:
     """Findings about rays outside their format, and rays that cover only a small part of it."""
-    structure, xy = block.structure, np.asarray(block.rays.coordinates)
-    camera = structure.image_camera[structure.ray_image] if len(structure.ray_image) else np.zeros(0, int)
-    findings = []
+    findings, xy = [], np.asarray(block.rays.coordinates)
     for form in _formats(block):
-        rays = np.flatnonzero(camera == form.camera)
+        rays = block.structure.rays_of_camera[form.camera]
         if len(rays):
             findings += _of_camera(block, form, rays, xy[rays])
     return findings

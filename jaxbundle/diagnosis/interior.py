@@ -19,8 +19,7 @@ EXTENT = 95.0  # percentile of the rays that estimates the format where it is no
 
 def interior_findings(block: Block) -> list[Finding]:
     """Findings about cameras whose principal distance does not fit their format."""
-    camera_of_ray = block.structure.image_camera[block.structure.ray_image]
-    findings = [_of_camera(block, k, np.flatnonzero(camera_of_ray == k)) for k in range(len(block.structure.cameras))]
+    findings = [_of_camera(block, k, rays) for k, rays in enumerate(block.structure.rays_of_camera)]
     return [finding for finding in findings if finding is not None]
 
 

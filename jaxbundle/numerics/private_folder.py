@@ -47,19 +47,20 @@ def read_private(path: Path) -> bytes | None:
 def trim(folder: Path, limit: int) -> None:
     """Deletes the least recently used files below a folder until the rest fits `limit` bytes."""
     files = []
-    for path in folder.rglob("*"):
-        try:
-            status = path.lstat()
-        except OSError:
-            continue
-        if stat.S_ISREG(status.st_mode):
-            files.append((max(status.st_atime, status.st_mtime), status.st_size, path))
+    for parent, _, names in os.walk(folder):
+        for path in (os.path.join(parent, name) for name in names):
+            try:
+                status = os.lstat(path)
+            except OSError:
+                continue
+            if stat.S_ISREG(status.st_mode):
+                files.append((max(status.st_atime, status.st_mtime), status.st_size, path))
     total = sum(size for _, size, _ in files)
     for _, size, path in sorted(files):
         if total <= limit:
             return
         try:
-            path.unlink()
+            os.unlink(path)
         except OSError:
             continue
         total -= size

@@ -88,13 +88,12 @@ def finite(value: Any) -> Any:
 
 def json_text(report: dict[str, Any]) -> str:
     """JSON with one line for each image, point and camera."""
+    dumped = json.JSONEncoder(allow_nan=False).encode  # json.dumps would make a new encoder for each line
     entries = []
     for key, value in report.items():
         if isinstance(value, dict) and any(isinstance(item, dict) for item in value.values()):
-            lines = ",\n".join(
-                f"  {json.dumps(name)}: {json.dumps(item, allow_nan=False)}" for name, item in value.items()
-            )
-            entries.append(f" {json.dumps(key)}: {{\n{lines}\n }}")
+            lines = ",\n".join(f"  {dumped(name)}: {dumped(item)}" for name, item in value.items())
+            entries.append(f" {dumped(key)}: {{\n{lines}\n }}")
         else:
-            entries.append(f" {json.dumps(key)}: {json.dumps(value, allow_nan=False)}")
+            entries.append(f" {dumped(key)}: {dumped(value)}")
     return "{\n" + ",\n".join(entries) + "\n}\n"

@@ -48,12 +48,14 @@ class ImageFigures(NamedTuple):
     coverage: Float[np.ndarray, " image"]
 
 
-def standardised(figures: Figures) -> Float[np.ndarray, "ray component"]:
-    """Standardised residuals w / sigma0 of the rays, normal for normal errors; v / (sigma0 sigma) without w."""
+def standardised(
+    figures: Figures, rays: Int[np.ndarray, " ray"] | slice = slice(None)
+) -> Float[np.ndarray, "ray component"]:
+    """Standardised residuals w / sigma0 of rays, normal for normal errors; v / (sigma0 sigma) without w."""
     numbers = figures.normalised[0] if figures.reliability is None else figures.reliability.w[0]
     scale = figures.sigma0 if figures.sigma0 > 0 else np.inf
     with np.errstate(all="ignore"):
-        return known(numbers / scale)
+        return known(numbers[rays] / scale)
 
 
 def residual_histogram(figures: Figures) -> Histogram:
@@ -116,8 +118,7 @@ def image_format(figures: Figures, camera: int) -> tuple[float, float, float, fl
     one = structure.cameras[camera]
     if one.image_unit == "px" and one.width and one.height:
         return 0.0, 0.0, float(one.width), float(one.height)
-    rays = structure.image_camera[structure.ray_image] == camera
-    xy = known(np.asarray(figures.adjustment.block.rays.coordinates)[rays])
+    xy = known(np.asarray(figures.adjustment.block.rays.coordinates)[structure.rays_of_camera[camera]])
     if not np.isfinite(xy).all(1).any():
         return 0.0, 0.0, 1.0, 1.0
     low, high = np.nanmin(xy, 0), np.nanmax(xy, 0)
@@ -127,10 +128,11 @@ def image_format(figures: Figures, camera: int) -> tuple[float, float, float, fl
 def residual_field(figures: Figures, camera: int, bins: tuple[int, int] = CELLS) -> Field:
     """Mean residuals of a camera's rays in the cells of a grid over its format; with few rays the cells are larger."""
     structure = figures.structure
-    of_all = known(np.asarray(figures.adjustment.block.rays.coordinates)), known(figures.residuals[0])
-    drawn = np.isfinite(of_all[0]).all(1) & np.isfinite(of_all[1]).all(1)
-    drawn &= (structure.image_camera == camera)[structure.ray_image]
-    xy, v, w = (values[drawn] for values in (*of_all, standardised(figures)))
+    rays = structure.rays_of_camera[camera]
+    xy = known(np.asarray(figures.adjustment.block.rays.coordinates)[rays])
+    v, w = known(figures.residuals[0][rays]), standardised(figures, rays)
+    drawn = np.isfinite(xy).all(1) & np.isfinite(v).all(1)
+    xy, v, w = xy[drawn], v[drawn], w[drawn]
     bounds = image_format(figures, camera)
     share = min(1.0, np.sqrt(max(len(v), 1) / RAYS_OF_CELL / (bins[0] * bins[1])))
     rows, columns = (max(3, int(n * share)) for n in bins)
