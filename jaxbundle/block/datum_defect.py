@@ -40,11 +40,10 @@ from jaxbundle.geometry import rotation
 from jaxbundle.geometry.rotation import RotationSystem
 from jaxbundle.numerics.compilation import Compiled
 from jaxbundle.numerics.host import on_device
-from jaxbundle.numerics.shapes import grid_size, padded
+from jaxbundle.numerics.shapes import MIN_MEMBERS, MIN_POINTS, grid_size, padded
 
 AT_REST = 1e-6  # share of the radius: a position with a smaller displacement is at rest
 MAX_NAMED = 3
-MIN_POINTS, MIN_MEMBERS = 64, 32  # of padded arrays
 
 
 @dataclass(frozen=True)

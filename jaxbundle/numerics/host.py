@@ -40,8 +40,10 @@ def _on_host(value: Any) -> Any:
 
 
 def on_device(tree: Any) -> Any:
-    """Makes JAX arrays of numbers and numpy arrays; tracers are unchanged."""
-    return jax.tree.map(lambda x: x if isinstance(x, jax.Array) else jax.device_put(np.asarray(x)), tree)
+    """Makes JAX arrays of numbers and numpy arrays, all at once; tracers are unchanged."""
+    leaves, structure = jax.tree.flatten(tree)
+    put = iter(jax.device_put([np.asarray(x) for x in leaves if not isinstance(x, jax.Array)]))
+    return jax.tree.unflatten(structure, [x if isinstance(x, jax.Array) else next(put) for x in leaves])
 
 
 def array_module(tree: Any) -> Any:

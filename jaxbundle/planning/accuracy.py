@@ -96,10 +96,12 @@ def in_area(block: Block, plan: FlightPlan) -> Points:
 
 
 def point_variances(prediction: Prediction, points: Points | None = None) -> Float[Array | np.ndarray, "chosen 3"]:
-    """Variances of X, Y, Z of the selected points."""
+    """Variances of X, Y, Z of the selected points; infinite where unknowns are undetermined."""
     blocks = prediction.cofactors.object_points
     xp = array_module(blocks)
     chosen = np.flatnonzero(judged_points(prediction.block) if points is None else points)
+    if prediction.undetermined:
+        return np.full((len(chosen), 3), np.inf)
     return xp.diagonal(on_host(blocks), axis1=1, axis2=2)[chosen]
 
 
@@ -127,6 +129,8 @@ def smooth_worst(sharpness: float = 20.0, weights: Weights = EQUAL, points: Poin
 
     def measure(prediction: Prediction) -> Array:
         variances = jnp.asarray(point_variances(prediction, points) @ w)
+        if prediction.undetermined:
+            return variances.max()
         beta = sharpness / jax.lax.stop_gradient(variances.max())
         return (jax.scipy.special.logsumexp(beta * variances) - jnp.log(len(variances))) / beta
 

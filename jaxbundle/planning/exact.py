@@ -13,9 +13,7 @@ from jaxbundle.camera.model import CameraModel
 from jaxbundle.camera.projection import projection
 from jaxbundle.numerics.compilation import Compiled
 from jaxbundle.numerics.host import on_device
-from jaxbundle.numerics.shapes import padded
-
-MIN_POINTS = 64  # of padded arrays
+from jaxbundle.numerics.shapes import MIN_POINTS, padded
 
 
 class _Rays(NamedTuple):

@@ -68,6 +68,14 @@ def test_heights_alone_leave_plane_position_azimuth_and_scale():
     assert datum_defect(block).count == 4
 
 
+def test_a_table_without_observations_gives_nothing():
+    nothing = observation_group(DISTANCES, np.zeros((0, 2), int), np.zeros((0, 1)), np.zeros((0, 1)))
+    block = placed(free_network(), control((0, 0, 0), (800, 0, 0), (400, 500, 0)))
+    assert datum_defect(dataclasses.replace(block, groups=(*block.groups, nothing))).count == 0
+    found = adjust(dataclasses.replace(block, groups=(nothing, *block.groups)), precision=False)
+    assert float(found.vtpv) == pytest.approx(float(adjust(block, precision=False).vtpv), rel=1e-9)
+
+
 def test_distance_gives_the_scale():
     block = free_network()
     distance = observation_group(DISTANCES, np.array([[0, 5]]), np.array([[400.0]]), np.array([[0.01]]))

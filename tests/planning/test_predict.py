@@ -84,6 +84,9 @@ def test_what_is_not_determined_is_told():
     )
     found = predict(simulate_flight(plan).truth)
     assert found.undetermined
+    assert float(jb.planning.mean_variance()(found)) == float(jb.planning.smooth_worst()(found)) == np.inf
+    limits = jb.planning.Specification(xy=1e3, z=1e3)
+    assert not jb.planning.check_specification(found, limits).passed and jb.planning.smooth_share(limits)(found) == 0.0
 
 
 STRIP = FlightPlan(
