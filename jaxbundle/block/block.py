@@ -203,6 +203,11 @@ class Structure:
         return tuple(np.split(order, np.searchsorted(camera[order], np.arange(1, len(self.cameras)))))
 
     @property
+    def rays_downward(self) -> Bool[np.ndarray, " ray"]:
+        """Mask of the rays whose y is measured downward: those in pixels."""
+        return np.array([camera.image_unit == "px" for camera in self.cameras])[self.image_camera[self.ray_image]]
+
+    @property
     def parameter_free(self) -> Bool[np.ndarray, " parameter"]:
         """Mask of the unknown parameters."""
         return np.array([parameter.free for parameter in self.parameters], bool)

@@ -1,9 +1,10 @@
 """Changes of the unknowns and of the observations of a block."""
 
 import dataclasses
-from collections.abc import Iterable
+from collections.abc import Iterable, Sequence
 
 import numpy as np
+from jaxtyping import Float
 
 from jaxbundle.block.block import Block, CheckPoints, Rays
 from jaxbundle.block.findings import Finding, in_order
@@ -30,6 +31,24 @@ def with_interior_held(block: Block) -> Block:
     require_a(Block, block, "blocks.with_interior_held")
     structure = dataclasses.replace(block.structure, interior_free=np.zeros_like(block.structure.interior_free))
     return dataclasses.replace(block, structure=structure)
+
+
+def with_sigmas_multiplied(block: Block, factors: Sequence[Float[np.ndarray, "member _component"]]) -> Block:
+    """The block with the sigmas of rays and of each group multiplied by factors, of components or whole members.
+
+    All observed components of a member with covariances have the same factor, and those are multiplied by its square.
+    """
+
+    def multiplied(group: ObservationGroup, factor: Float[np.ndarray, "member _component"]) -> ObservationGroup:
+        sigmas, covariances = on_host((group.sigmas, group.covariances))
+        if covariances is not None:
+            of_member = np.where(group.structure.observed, factor, 0.0).max(1)[:, None, None]
+            covariances = covariances * np.where(of_member > 0, of_member, 1.0) ** 2
+        return dataclasses.replace(group, sigmas=sigmas * factor, covariances=covariances)
+
+    groups = tuple(multiplied(group, factor) for group, factor in zip(block.groups, factors[1:], strict=True))
+    rays = dataclasses.replace(block.rays, sigmas=on_host(block.rays.sigmas) * factors[0])
+    return dataclasses.replace(block, **on_device({"rays": rays, "groups": groups}))
 
 
 def without_ray(block: Block, ray: int) -> Block:

@@ -55,7 +55,7 @@ def with_datum(block: Block) -> Block:
         return _with_structure(block, datum=Datum(kind, structure.datum.held, carriers=_carriers(block)))
     if is_located(block):
         raise BlockError([insufficient(defect)])
-    chosen = _minimal(block)
+    chosen = _minimal(block, defect)
     if structure.datum.kind == "inner":
         _require_inner(defect, len(chosen))
     free = structure.exterior_free.copy()
@@ -78,12 +78,12 @@ def _carriers(block: Block) -> tuple[str, ...]:
     return tuple(dict.fromkeys([*held, *(words.get(kind.touches[0], kind.name) for kind in kinds)]))
 
 
-def _minimal(block: Block) -> list[tuple[int, int]]:
+def _minimal(block: Block, defect: DatumDefect) -> list[tuple[int, int]]:
     """Image and element of the elements that define the undetermined directions, one element for each direction."""
     centres = np.asarray(block.exterior.projection_centre)
     other, axis = (int(k) for k in np.unravel_index(np.argmax(np.abs(centres - centres[0])), centres.shape))
     elements = [*((0, k) for k in range(6)), (other, axis)]
-    moved = sensitivity(block, elements) if block.groups else np.eye(len(elements))
+    moved = sensitivity(block, defect, elements) if block.groups else np.eye(len(elements))
     count = moved.shape[1]
     if count == len(elements):
         return elements

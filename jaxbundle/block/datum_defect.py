@@ -15,7 +15,7 @@ The derivatives are computed by autodiff for any kind of observation. They are t
 points and stations, not at approximate ones: whether control lies on a line is a property of the control.
 """
 
-from dataclasses import dataclass
+from dataclasses import dataclass, field
 from typing import NamedTuple
 
 import jax
@@ -39,7 +39,7 @@ from jaxbundle.block.unknowns import Unknowns, unknowns_of
 from jaxbundle.geometry import rotation
 from jaxbundle.geometry.rotation import RotationSystem
 from jaxbundle.numerics.compilation import Compiled
-from jaxbundle.numerics.host import on_device
+from jaxbundle.numerics.host import on_device, on_host
 from jaxbundle.numerics.shapes import MIN_MEMBERS, MIN_POINTS, grid_size, padded
 
 AT_REST = 1e-6  # share of the radius: a position with a smaller displacement is at rest
@@ -51,7 +51,8 @@ class DatumDefect:
     """The undetermined part of the datum; `count` includes combinations of the block's parameters.
 
     `parameters`: names of parameters of the block that are involved; `moves`: points with the maximum displacements;
-    `fixed`: observed points and images without displacement, such as control points on the axis of a rotation.
+    `fixed`: observed points and images without displacement, such as control points on the axis of a rotation;
+    `directions`: undetermined directions of (t, r, m), an orthonormal column each.
 
     Example:
         >>> jb.blocks.datum_defect(block).count
@@ -63,6 +64,9 @@ class DatumDefect:
     parameters: tuple[str, ...] = ()
     moves: tuple[str, ...] = ()
     fixed: tuple[str, ...] = ()
+    directions: Float[np.ndarray, "7 defect"] = field(
+        default_factory=lambda: np.zeros((7, 0)), compare=False, repr=False
+    )
 
     @property
     def scale(self) -> bool:
@@ -105,46 +109,47 @@ class _Carriers(NamedTuple):
     radius: Float[Array, ""]
 
 
-@Compiled
-def _datum_rows(
-    system: RotationSystem, carriers: _Carriers
-) -> tuple[Float[Array, "row column"], Float[Array, "weighted_row column"]]:
-    """Derivatives of fixed elements and observations with respect to the datum and the parameters.
+class _Rows(NamedTuple):
+    """Derivatives with respect to the datum and the parameters: of the coordinates of points with a fixed one, of the
+    exterior elements of images with a fixed one, and of the observations, also with their weights.
 
-    The rows are in units of the block's radius; those of observations are also returned with their weights.
-
-    The rows of free elements of points and images with a fixed element are 0.
+    In units of the block's radius. Rows of free elements and of padding are 0.
     """
+
+    points: Float[Array | np.ndarray, "3 point *column"]
+    exterior: Float[Array | np.ndarray, "6 image *column"]
+    observed: Float[Array | np.ndarray, "row *column"]
+    weighted: Float[Array | np.ndarray, "weighted_row *column"]
+
+
+@Compiled
+def _datum_rows(system: RotationSystem, carriers: _Carriers) -> _Rows:
     unknowns, groups, exterior_free, point_free, fixed, held, radius = carriers
 
-    def carried(changes: Float[Array, " column"]) -> tuple[list[Float[Array, " _row"]], ...]:
+    def joined(parts: list[Float[Array, "_component _member"]]) -> Float[Array, " row"]:
+        return jnp.concatenate([part.ravel() for part in parts]) if parts else jnp.zeros(0)
+
+    def carried(changes: Float[Array, " column"]) -> _Rows:
         moved = transformed(unknowns, changes[:7], radius)
         moved = Unknowns(moved.rotation, moved.centre, moved.interior, moved.parameters + changes[7:], moved.points)
         angles = jnp.stack(system.angles_from_rotation(tuple(moved.rotation[:, held])))
         exterior = jnp.concatenate([moved.centre[:, held] / radius, angles])
-        points = jnp.where(point_free[:, fixed], 0.0, moved.points[:, fixed])
-        rows = [points / radius, jnp.where(exterior_free[:, held], 0.0, exterior)]
         residuals = [group_residuals(moved, group) for group in groups]
-        rows += [jnp.where(_is_observed(group), v, 0.0) / radius for v, group in zip(residuals, groups, strict=True)]
-        of_groups = [weighted(v, group).ravel() for v, group in zip(residuals, groups, strict=True)]
-        return [row.ravel() for row in rows], of_groups
+        observed = [jnp.where(_is_observed(group), v, 0.0) / radius for v, group in zip(residuals, groups, strict=True)]
+        return _Rows(
+            jnp.where(point_free[:, fixed], 0.0, moved.points[:, fixed]) / radius,
+            jnp.where(exterior_free[:, held], 0.0, exterior),
+            joined(observed),
+            joined([weighted(v, group) for v, group in zip(residuals, groups, strict=True)]),
+        )
 
-    rows, of_groups = jax.jacfwd(carried)(jnp.zeros(7 + unknowns.parameters.shape[0]))
-    return jnp.concatenate(rows), jnp.concatenate(of_groups) if of_groups else jnp.zeros((0, rows[0].shape[1]))
+    return jax.jacfwd(carried)(jnp.zeros(7 + unknowns.parameters.shape[0]))
 
 
 def _is_observed(group: Group) -> Bool[Array, "component member"]:
     """Mask of the observed components, which have a weight."""
     own = group.weights if group.weights.ndim == 2 else jnp.diagonal(group.weights).T
     return own > 0
-
-
-def _padded_indices(mask: Bool[np.ndarray, " entity"]) -> Int[Array, " padded"]:
-    """Indices where the mask is true, padded with the first entity, whose rows are 0 if it is free."""
-    index = np.nonzero(mask)[0]
-    filled = np.full(grid_size(len(index)), np.argmin(mask), np.int32)
-    filled[: len(index)] = index
-    return on_device(filled)
 
 
 class DatumEquations(NamedTuple):
@@ -154,57 +159,56 @@ class DatumEquations(NamedTuple):
     observed: Float[np.ndarray, "row column"]
     weighted: Float[np.ndarray, "row column"]
     free: Bool[np.ndarray, " column"]
+    frame: Frame
 
 
-def datum_equations(block: Block) -> DatumEquations | None:
-    """The rows that define the datum, at the observed positions; None where nothing is observed or fixed.
+def datum_equations(block: Block) -> DatumEquations:
+    """The rows that define the datum, at the observed positions.
 
     A row without a finite derivative, such as the azimuth of a plumb line, is set to 0.
     """
-    structure = block.structure
-    fixed, held = (~structure.point_free).sum(1) > 0, (~structure.exterior_free).sum(1) > 0
+    structure, frame = block.structure, frame_of(block)
     free = np.concatenate([np.ones(7, bool), structure.parameter_free])
-    if not (fixed.any() or held.any() or block.groups):
-        return None
-    frame = frame_of(block)
-    rows, of_groups = (
-        np.where(np.isfinite(x).all(1, keepdims=True), x, 0.0)
-        for x in map(
-            np.asarray,
-            _datum_rows(structure.rotation_system, _carriers(frame, fixed, held), optimised=False),
-        )
-    )
-    count = len(rows) - len(of_groups)
-    return DatumEquations(rows[:count], rows[count:], of_groups, free)
+    if not block.groups and structure.point_free.all() and structure.exterior_free.all():
+        nothing = np.zeros((0, len(free)))
+        return DatumEquations(nothing, nothing, nothing, free, frame)
+    rows = _rows(block, frame, structure.point_free, structure.exterior_free)
+    fixed = np.concatenate([part.reshape(-1, len(free)) for part in (rows.points, rows.exterior)])
+    return DatumEquations(fixed, np.asarray(rows.observed), np.asarray(rows.weighted), free, frame)
 
 
-def _carriers(frame: Frame, fixed: Bool[np.ndarray, " point"], held: Bool[np.ndarray, " image"]) -> _Carriers:
-    block = frame.block
-    u, structure = unknowns_of(block), block.structure
-    rotations, centre, interior, points = on_device(
-        (padded(u.rotation), padded(u.centre), padded(u.interior, 1), padded(u.points, MIN_POINTS))
+def _rows(
+    block: Block, frame: Frame, point_free: Bool[np.ndarray, "point 3"], exterior_free: Bool[np.ndarray, "image 6"]
+) -> _Rows:
+    """The rows of a block in which these elements are free, on the host."""
+    moved = block.moved(-frame.centre)
+    u = unknowns_of(moved)
+    arrays = (
+        *(padded(u.rotation), padded(frame.centres.T), padded(u.interior, 1), padded(frame.points.T, MIN_POINTS)),
+        *(padded(exterior_free.T), padded(point_free.T, MIN_POINTS)),
+        *(_padded_indices(np.asarray(~free.all(1))) for free in (point_free, exterior_free)),
+        np.asarray(frame.radius),
     )
+    rotations, centres, interior, points, *others = on_device(arrays)
     groups = tuple(
         group_arrays(group, group.structure.indices.T, grid_size(group.values.shape[0], MIN_MEMBERS))
-        for group in block.groups
+        for group in moved.groups
     )
-    return _Carriers(
-        Unknowns(rotations, centre, interior, u.parameters, points),
-        groups,
-        on_device(padded(structure.exterior_free.T)),
-        on_device(padded(structure.point_free.T, MIN_POINTS)),
-        _padded_indices(fixed),
-        _padded_indices(held),
-        on_device(frame.radius),
-    )
+    carriers = _Carriers(Unknowns(rotations, centres, interior, u.parameters, points), groups, *others)
+    rows = on_host(_datum_rows(block.structure.rotation_system, carriers, optimised=False))
+    return _Rows(*(np.where(np.isfinite(x).all(-1, keepdims=True), x, 0.0) for x in rows))
 
 
-def null_space(block: Block) -> Float[np.ndarray, "column defect"]:
+def _padded_indices(mask: Bool[np.ndarray, " entity"]) -> Int[np.ndarray, " padded"]:
+    """Indices where the mask is true, padded with the first entity, whose rows are 0 if it is free."""
+    index = np.nonzero(mask)[0]
+    filled = np.full(grid_size(len(index)), np.argmin(mask), np.int32)
+    filled[: len(index)] = index
+    return filled
+
+
+def _null_space(equations: DatumEquations) -> Float[np.ndarray, "column defect"]:
     """Directions of (t, r, m) and of the block's parameters that no observation and no fixed element determines."""
-    equations = datum_equations(block)
-    if equations is None:
-        free = np.concatenate([np.ones(7, bool), block.structure.parameter_free])
-        return np.eye(len(free))[:, free]
     free, rows = equations.free, np.concatenate([equations.fixed, equations.observed])
     # angles and lengths count equally: rows above the rounding level are scaled to the length 1
     size = np.linalg.norm(rows, axis=1, keepdims=True)
@@ -226,49 +230,44 @@ def datum_defect(block: Block) -> DatumDefect:
         0
     """
     require_a(Block, block, "blocks.datum_defect")
-    directions = null_space(block)
+    equations = datum_equations(block)
+    directions = _null_space(equations)
     names = [parameter.name for parameter in block.structure.parameters]
     taking_part = np.abs(directions[7:]).max(1, initial=0.0) > RANK_TOLERANCE
     own = tuple(name for name, part in zip(names, taking_part, strict=True) if part)
     left, size, _ = np.linalg.svd(directions[:7], full_matrices=False)
     datum = left[:, : int((size > RANK_TOLERANCE).sum())]
-    moves, fixed = _moved_and_fixed(block, datum) if datum.shape[1] not in (0, 7) else ((), ())
-    return DatumDefect(directions.shape[1], similarity_defect(datum), own, moves, fixed)
+    some = datum.shape[1] not in (0, 7)
+    moves, fixed = _moved_and_fixed(block, equations.frame, datum) if some else ((), ())
+    return DatumDefect(directions.shape[1], similarity_defect(datum), own, moves, fixed, datum)
 
 
-def sensitivity(block: Block, elements: list[tuple[int, int]]) -> Float[np.ndarray, "element defect"]:
-    """Derivatives of elements of images, given as (image, element), along the undetermined directions.
+def sensitivity(
+    block: Block, defect: DatumDefect, elements: list[tuple[int, int]]
+) -> Float[np.ndarray, "element defect"]:
+    """Derivatives of elements of images, given as (image, element), along the undetermined directions of the datum.
 
     Coordinates in units of the block's radius, angles in radians.
     """
-    directions = null_space(block)
-    frame = frame_of(block)
-    unknowns, system, radius = unknowns_of(frame.block), block.structure.rotation_system, on_device(frame.radius)
     images, components = np.array(elements).T
-
-    def changed(parameters: Float[Array, "7"]) -> Float[Array, " element"]:
-        moved = transformed(unknowns, parameters, radius)
-        angles = jnp.stack(system.angles_from_rotation(tuple(moved.rotation)))
-        return jnp.concatenate([moved.centre / radius, angles])[components, images]
-
-    derivatives = np.asarray(jax.jacfwd(changed)(jnp.zeros(7)))
-    left, size, _ = np.linalg.svd(directions[:7], full_matrices=False)
-    return derivatives @ left[:, size > RANK_TOLERANCE]
+    free = np.ones(block.structure.exterior_free.shape, bool)
+    free[images] = False
+    rows = _rows(block, frame_of(block), np.ones(block.structure.point_free.shape, bool), free)
+    of_images = np.asarray(rows.exterior)[components, np.searchsorted(np.unique(images), images), :7]
+    return of_images @ defect.directions
 
 
-def _moved_and_fixed(block: Block, datum: Float[np.ndarray, "7 defect"]) -> tuple[tuple[str, ...], tuple[str, ...]]:
+def _moved_and_fixed(
+    block: Block, frame: Frame, datum: Float[np.ndarray, "7 defect"]
+) -> tuple[tuple[str, ...], tuple[str, ...]]:
     """Points with the maximum displacement along undetermined directions, and observed points and stations at rest."""
-    frame, structure = frame_of(block), block.structure
-    points = np.asarray(frame.block.object_points)
-    moved = np.linalg.norm(displacements(datum, points, frame.radius), axis=(0, 2))
+    moved = np.linalg.norm(displacements(datum, frame.points, frame.radius), axis=(0, 2))
     moved = np.where(np.isfinite(moved), moved, -1.0)
-    most = tuple(structure.point_names[p] for p in np.argsort(-moved, kind="stable")[:MAX_NAMED])
-    places = observed_places(block)
-    size = np.linalg.norm(
-        displacements(datum, np.array([place for *_, place in places]).reshape(-1, 3) - frame.centre, frame.radius),
-        axis=(0, 2),
-    )
-    return most, tuple(places[k][1] for k in np.flatnonzero(size <= AT_REST * frame.radius))
+    most = tuple(block.structure.point_names[p] for p in np.argsort(-moved, kind="stable")[:MAX_NAMED])
+    observed = observed_places(block, frame)
+    places = np.array([place for *_, place in observed]).reshape(-1, 3)
+    size = np.linalg.norm(displacements(datum, places, frame.radius), axis=(0, 2))
+    return most, tuple(observed[k][1] for k in np.flatnonzero(size <= AT_REST * frame.radius))
 
 
 def _shortened(names: tuple[str, ...]) -> str:

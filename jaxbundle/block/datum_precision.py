@@ -16,7 +16,7 @@ from jaxtyping import Float
 from jaxbundle.block.block import Block
 from jaxbundle.block.datum_defect import datum_equations
 from jaxbundle.block.findings import Finding, Kind, Severity, Subject
-from jaxbundle.block.observed_places import Frame, frame_of, observed_places
+from jaxbundle.block.observed_places import Frame, observed_places
 from jaxbundle.block.similarity_defect import SimilarityDefect, displacements, similarity_defect
 from jaxbundle.block.wording import named
 
@@ -37,7 +37,7 @@ class DatumPrecision(NamedTuple):
 def datum_precision(block: Block) -> DatumPrecision | None:
     """Precision of the datum of a block; None where it has a defect, or consists only of fixed elements."""
     equations = datum_equations(block)
-    if equations is None or not equations.weighted.size:
+    if not equations.weighted.size:
         return None
     free = equations.free
     columns = np.eye(len(free))[:, free]
@@ -55,7 +55,7 @@ def datum_precision(block: Block) -> DatumPrecision | None:
     if len(size) < columns.shape[1] or size.min() <= 1e-12 * size.max():
         return None
     root = (columns @ (vt / lengths).T / size)[:7]
-    return DatumPrecision(root @ root.T, frame_of(block))
+    return DatumPrecision(root @ root.T, equations.frame)
 
 
 def weak_datum(block: Block, sigma0: float) -> tuple[Finding, ...]:
@@ -69,7 +69,7 @@ def weak_datum(block: Block, sigma0: float) -> tuple[Finding, ...]:
     if precision is None:
         return ()
     factor = min(sigma0, 1.0) if np.isfinite(sigma0) else 1.0
-    frame, points = precision.frame, np.asarray(precision.frame.block.object_points)
+    frame, points = precision.frame, precision.frame.points
     points = points[np.isfinite(points).all(1)]
     extent = float(np.median(np.linalg.norm(points - np.median(points, 0), axis=1)))
     values, vectors = np.linalg.eigh(factor**2 * precision.covariance)
@@ -79,24 +79,26 @@ def weak_datum(block: Block, sigma0: float) -> tuple[Finding, ...]:
         angle, inside = float(np.linalg.norm(direction[3:6])), np.linalg.norm(move - np.median(move, axis=0), axis=1)
         if angle > MAX_ANGLE or np.median(inside) > MAX_SHARE * extent:
             moved = float(np.linalg.norm(move, axis=1).max())
-            return (_finding(block, direction[:, None], moved, angle, Severity.FAILED),)
+            return (_finding(block, frame, direction[:, None], (moved, angle), Severity.FAILED),)
     whole = np.linalg.norm(moves[0], axis=1)
     if np.median(whole) <= MAX_SHARE * extent:
         return ()
     # a translation of the whole block leaves its shape and its attitude as precise as they are
     angle = float(np.linalg.norm(directions[3:6, 0]))
-    return (_finding(block, directions[:, :1], float(whole.max()), angle, Severity.CHECK),)
+    return (_finding(block, frame, directions[:, :1], (float(whole.max()), angle), Severity.CHECK),)
 
 
-def _finding(block: Block, worst: Float[np.ndarray, "7 1"], moved: float, angle: float, severity: Severity) -> Finding:
-    """The weakest direction in words, as the dominating part of a similarity transformation."""
-    unit = block.structure.object_unit
-    places = observed_places(block)
-    frame = frame_of(block)
-    size = np.linalg.norm(
-        displacements(worst, np.array([p for *_, p in places]) - frame.centre, frame.radius)[0], axis=1
-    )
-    resting = [places[k] for k in np.flatnonzero(size <= AT_REST * moved)]
+def _finding(
+    block: Block, frame: Frame, worst: Float[np.ndarray, "7 1"], size: tuple[float, float], severity: Severity
+) -> Finding:
+    """The weakest direction in words, as the dominating part of a similarity transformation.
+
+    `size`: the maximum displacement, and the angle.
+    """
+    unit, (moved, angle) = block.structure.object_unit, size
+    places = observed_places(block, frame)
+    distances = np.linalg.norm(displacements(worst, np.array([p for *_, p in places]), frame.radius)[0], axis=1)
+    resting = [places[k] for k in np.flatnonzero(distances <= AT_REST * moved)]
     what, turns = similarity_words(worst)
     if turns and len(resting) > 1:
         what = f"the rotation about the line through {named([name for _, name, _ in resting])}"

@@ -2,24 +2,27 @@
 
 from typing import NamedTuple
 
-import equinox as eqx
 import numpy as np
 from jaxtyping import Float
 
 from jaxbundle.block.block import Block
-from jaxbundle.numerics.host import on_device, on_host
+from jaxbundle.numerics.host import on_host
 
 
 class Frame(NamedTuple):
-    """The block relative to its centre, observed objects at observed positions; `radius`: unit of lengths."""
+    """Points and projection centres relative to the centre of the block, observed ones at their observed positions.
 
-    block: Block
+    `radius`: unit of lengths.
+    """
+
+    points: Float[np.ndarray, "point 3"]
+    centres: Float[np.ndarray, "image 3"]
     centre: Float[np.ndarray, "3"]
     radius: float
 
 
 def frame_of(block: Block) -> Frame:
-    """The block with observed instead of approximate coordinates, relative to the centre of the observed ones.
+    """The positions of a block, observed instead of approximate ones, relative to the centre of the observed ones.
 
     Centre and radius are medians of the coordinates that define the datum, of all coordinates if these are fewer than
     two positions. So a grossly wrong approximate value does not affect them.
@@ -34,8 +37,7 @@ def frame_of(block: Block) -> Frame:
         distances = np.linalg.norm(places - centre, axis=1)
         radius = radius or float(np.median(distances)) if len(places) else radius
         radius = radius or float(distances.max(initial=0.0))
-    placed = eqx.tree_at(lambda b: (b.object_points, b.exterior.projection_centre), block, on_device((points, centres)))
-    return Frame(placed.moved(-centre), centre, radius or 1.0)
+    return Frame(points - centre, centres - centre, centre, radius or 1.0)
 
 
 def _observed_places(block: Block) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
@@ -65,12 +67,13 @@ def _observed_places(block: Block) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
     return places["point"], places["image"], np.concatenate(found)
 
 
-def observed_places(block: Block) -> list[tuple[str, str, Float[np.ndarray, "3"]]]:
-    """Points and images with an observed or fixed coordinate: "point" or "image", name and position."""
-    structure = block.structure
-    points, centres, _ = _observed_places(block)
-    found = []
-    for entity, places, names in (("point", points, structure.point_names), ("image", centres, structure.image_names)):
+def observed_places(block: Block, frame: Frame) -> list[tuple[str, str, Float[np.ndarray, "3"]]]:
+    """Points and images with an observed or fixed coordinate: "point" or "image", name and position in the frame."""
+    structure, found = block.structure, []
+    for entity, places, names in (
+        ("point", frame.points, structure.point_names),
+        ("image", frame.centres, structure.image_names),
+    ):
         found += [(entity, names[k], places[k]) for k in sorted(_observed_entities(block, entity))]
     return found
 

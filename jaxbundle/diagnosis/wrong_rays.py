@@ -174,8 +174,7 @@ def _axes_exchanged(
 ) -> Bool[np.ndarray, " ray"]:
     """Whether the computed positions of rays agree with the measured ones after an exchange of x and y."""
     structure, given = start.structure, np.asarray(start.rays.coordinates)[rays]
-    down = np.array([camera.image_unit == "px" for camera in structure.cameras])
-    up = np.where(down[structure.image_camera[structure.ray_image[rays]]], -1.0, 1.0)
+    up = np.where(structure.rays_downward[rays], -1.0, 1.0)
     computed = given + v[rays] * np.stack([np.ones(len(rays)), up], 1)
     left = np.linalg.norm(computed - given[:, ::-1], axis=1)
     return left < SAME_PLACE * np.linalg.norm(computed - given, axis=1)

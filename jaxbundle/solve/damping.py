@@ -58,7 +58,7 @@ class Marquardt(AbstractDamping):
     initial_damping: float = INITIAL_DAMPING
 
     def initial_state(self) -> DampingState:
-        return DampingState(on_device(self.initial_damping), on_device(2.0), on_device(False))
+        return DampingState(*on_device((self.initial_damping, 2.0, False)))
 
     def judge_step(
         self, state: DampingState, reduction: Array, predicted: Array, cost: Array, noise: Array
@@ -77,7 +77,7 @@ class Undamped(AbstractDamping):
     """Gauss-Newton: lambda is 0, and all steps are full steps."""
 
     def initial_state(self) -> DampingState:
-        return DampingState(on_device(0.0), on_device(1.0), on_device(False))
+        return DampingState(*on_device((0.0, 1.0, False)))
 
     def judge_step(
         self, state: DampingState, reduction: Array, predicted: Array, cost: Array, noise: Array

@@ -32,8 +32,8 @@ class History(NamedTuple):
 
 def empty_history(max_iterations: int) -> History:
     """The history of a solve before its first iteration."""
-    unknown = on_device(np.full(max_iterations, np.nan))
-    return History(unknown, unknown, unknown, on_device(np.zeros(max_iterations, bool)))
+    unknown = np.full(max_iterations, np.nan)
+    return History(*on_device((unknown, unknown, unknown, np.zeros(max_iterations, bool))))
 
 
 def history_of(entries: Iterable[HistoryEntry], max_iterations: int) -> History:

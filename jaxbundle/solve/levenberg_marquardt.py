@@ -97,9 +97,8 @@ class BundleSolver(optx.AbstractLeastSquaresSolver[OrderedUnknowns, Any, Any, St
 
     def first(self, recorded: int | None = None) -> State:
         """The state before the first step, with room for the history of `recorded` iterations."""
-        false, zero, nan = on_device(False), on_device(0), on_device(jnp.nan)
-        history = None if recorded is None else empty_history(recorded)
-        start, running = self.damping.initial_state(), jax.tree.map(on_device, RESULTS.successful)
+        false, zero, nan, running = on_device((False, 0, jnp.nan, RESULTS.successful))
+        history, start = None if recorded is None else empty_history(recorded), self.damping.initial_state()
         return State(start, false, false, false, running, zero, zero, nan, nan, nan, nan, nan, history)
 
     def init(self, fn, y, args, options, f_struct, aux_struct, tags) -> State:

@@ -23,11 +23,10 @@ import numpy as np
 from jaxtyping import Bool, Float
 
 from jaxbundle.block.block import Block
+from jaxbundle.block.changes import with_sigmas_multiplied
 from jaxbundle.block.datum import with_datum
 from jaxbundle.block.given import require_a
-from jaxbundle.block.observation_kinds import ObservationGroup
 from jaxbundle.block.validate import require_valid
-from jaxbundle.numerics.host import on_device
 from jaxbundle.solve.adjust import adjust
 from jaxbundle.solve.adjustment import Adjustment, Status
 from jaxbundle.solve.options import Choices, Options, chosen
@@ -271,19 +270,7 @@ def with_components(block: Block, groups: Sequence[Subset], components: Groups) 
     for group, component in zip(groups, components, strict=True):
         for table, mask in zip(tables, group.masks, strict=True):
             table[mask] = component
-
-    def scaled(group: ObservationGroup, table: np.ndarray) -> ObservationGroup:
-        sigmas = on_device(np.asarray(group.sigmas) * np.sqrt(table))
-        if group.covariances is None:
-            return eqx.tree_at(lambda g: g.sigmas, group, sigmas)
-        # all observed components of one member have the same factor; the others do not count
-        largest = np.where(group.structure.observed, table, 0.0).max(1)[:, None, None]
-        covariances = on_device(np.asarray(group.covariances) * np.where(largest > 0, largest, 1.0))
-        return eqx.tree_at(lambda g: (g.sigmas, g.covariances), group, (sigmas, covariances))
-
-    rays = on_device(np.asarray(block.rays.sigmas) * np.sqrt(tables[0]))
-    scaled_groups = tuple(scaled(group, table) for group, table in zip(block.groups, tables[1:], strict=True))
-    return eqx.tree_at(lambda b: (b.rays.sigmas, b.groups), block, (rays, scaled_groups))
+    return with_sigmas_multiplied(block, [np.sqrt(table) for table in tables])
 
 
 def _with_rest(block: Block, asked: tuple[Subset, ...]) -> tuple[Subset, ...]:

@@ -181,7 +181,7 @@ class _ImagePointEffects(NamedTuple):
 
 def _image_point_effects(block: Block, unknowns: Unknowns, o: Observations) -> _ImagePointEffects:
     s = block.structure
-    down = np.array([camera.image_unit == "px" for camera in s.cameras])[s.image_camera[s.ray_image]]
+    down = s.rays_downward
     upward = on_device(np.stack([np.ones(len(down)), np.where(down, -1.0, 1.0)]))
     optimised = len(s.ray_image) >= RAYS_FOR_OPTIMISATION
     return _ImagePointEffects(-np.asarray(_changes_by_image_points(unknowns, o, upward, optimised=optimised)))

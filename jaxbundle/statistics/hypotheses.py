@@ -88,7 +88,7 @@ class Hypotheses:
 def image_points(block: Block) -> Float[np.ndarray, "ray 2"]:
     """Measured image coordinates in the frame of the residuals, y up."""
     s = block.structure
-    down = np.array([camera.image_unit == "px" for camera in s.cameras])[s.image_camera[s.ray_image]]
+    down = s.rays_downward
     return np.asarray(block.rays.coordinates) * np.stack([np.ones(len(down)), np.where(down, -1.0, 1.0)], 1)
 
 

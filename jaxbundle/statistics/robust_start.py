@@ -17,7 +17,7 @@ import numpy as np
 from jaxtyping import Float
 
 from jaxbundle.block.block import Block
-from jaxbundle.block.observation_kinds import ObservationGroup
+from jaxbundle.block.changes import with_sigmas_multiplied
 from jaxbundle.numerics.host import on_device
 from jaxbundle.solve.adjustment import Adjustment
 from jaxbundle.solve.attempt import attempt
@@ -75,15 +75,4 @@ def _weights(residuals: Sequence[np.ndarray], redescending: bool) -> Members:
 
 def _weighted(given: Block, start: Block, weights: Members) -> Block:
     """The block with these additional weights, at the unknowns of `start`."""
-    block, factors = with_unknowns_of(given, start), [1 / np.sqrt(w)[:, None] for w in weights]
-
-    def scaled(group: ObservationGroup, factor: np.ndarray) -> ObservationGroup:
-        group = eqx.tree_at(lambda g: g.sigmas, group, on_device(np.asarray(group.sigmas) * factor))
-        if group.covariances is None:
-            return group
-        covariances = np.asarray(group.covariances) * (factor**2)[:, :, None]
-        return eqx.tree_at(lambda g: g.covariances, group, on_device(covariances))
-
-    groups = tuple(scaled(group, factor) for group, factor in zip(block.groups, factors[1:], strict=True))
-    rays = on_device(np.asarray(block.rays.sigmas) * factors[0])
-    return eqx.tree_at(lambda b: (b.rays.sigmas, b.groups), block, (rays, groups))
+    return with_sigmas_multiplied(with_unknowns_of(given, start), [1 / np.sqrt(w)[:, None] for w in weights])

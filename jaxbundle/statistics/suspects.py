@@ -306,7 +306,7 @@ class _State:
         """Conversion from the frame of the residuals to that of the user: angle unit, y of pixels down."""
         s = self.given.structure
         table, member = next(iter(h.members))
-        down = table == 0 and s.cameras[s.image_camera[s.ray_image[member]]].image_unit == "px"
+        down = table == 0 and s.rays_downward[member]
         by_unit = {"deg": 180 / np.pi, "gon": 200 / np.pi}
         return np.array(
             [-1.0 if down and c == "y" else by_unit.get(u, 1.0) for c, u in zip(h.components, h.units, strict=True)]
@@ -333,7 +333,7 @@ def _non_centrality(log_level: float, degrees: int, redundancy: int) -> float:
 def with_errors_removed(block: Block, errors: Sequence[tuple[ErrorColumn, float]]) -> Block:
     """The block with errors of some sizes subtracted from its observations and fixed coordinates."""
     s = block.structure
-    down = np.array([camera.image_unit == "px" for camera in s.cameras])[s.image_camera[s.ray_image]]
+    down = s.rays_downward
     rays, points = np.array(block.rays.coordinates), np.array(block.object_points)
     tables = [np.array(group.values) for group in block.groups]
     for column, size in errors:
@@ -345,10 +345,8 @@ def with_errors_removed(block: Block, errors: Sequence[tuple[ErrorColumn, float]
             np.subtract.at(rays, (column.member, column.component), up * change)
         else:
             np.subtract.at(tables[column.table - 1], (column.member, column.component), change)
-    groups = tuple(
-        eqx.tree_at(lambda g: g.values, group, on_device(values))
-        for group, values in zip(block.groups, tables, strict=True)
-    )
     return eqx.tree_at(
-        lambda b: (b.rays.coordinates, b.object_points, b.groups), block, (on_device(rays), on_device(points), groups)
+        lambda b: (b.rays.coordinates, b.object_points, *(group.values for group in b.groups)),
+        block,
+        on_device((rays, points, *tables)),
     )
