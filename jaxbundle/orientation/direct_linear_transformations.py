@@ -25,7 +25,6 @@ MIN_POINTS = 6  # eleven unknowns, two equations per point
 IN_A_PLANE = 1e-4  # ratio of minimum and maximum eigenvalue of the scatter of the points
 DEGENERATE = 1e-6  # ratio of the eleventh and the first singular value of the linear equations
 STEPS = 10
-ELEMENTS = ("c", "c'", "s", "x0", "y0", "X0", "Y0", "Z0")
 
 
 class DirectLinearTransformation(eqx.Module):

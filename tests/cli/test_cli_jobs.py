@@ -10,6 +10,7 @@ import time
 from pathlib import Path
 
 import equinox as eqx
+import numpy as np
 import pytest
 
 from jaxbundle.cli import main, runtime, several
@@ -37,8 +38,10 @@ FILES = {
 def blocks(tmp_path_factory) -> Path:
     """a/strip and b/strip, which have the same name, c/other, and one that is broken."""
     home = tmp_path_factory.mktemp("jobs")
-    for seed, name in enumerate(("a/strip", "b/strip", "c/other")):
-        write_block_folder(simulate(1, 3, points_per_image=30, seed=seed).block, home / name)
+    block, errors = simulate(1, 3, points_per_image=30).block, np.random.default_rng(5)
+    for name in ("a/strip", "b/strip", "c/other"):  # of one structure: they share their programs
+        measured = block.rays.coordinates + errors.normal(0.0, 1e-3, block.rays.coordinates.shape)
+        write_block_folder(eqx.tree_at(lambda b: b.rays.coordinates, block, measured), home / name)
     shutil.copytree(home / "a" / "strip", home / "broken")
     with (home / "broken" / "rays.csv").open("a") as rays:
         rays.write("9_09,20,1,1,,\n")

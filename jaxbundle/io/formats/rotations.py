@@ -30,7 +30,6 @@ from jaxbundle.numerics.shapes import grid_size
 
 DOWN_FORWARD = np.diag([1.0, -1.0, -1.0])  # D
 Matrices = Float[np.ndarray, "image 3 3"]
-ROUNDING = 1e-3  # tolerance of R R^T: matrices printed with four digits; larger deviations are not rotations
 
 
 def phi_omega_kappa(phi: Array, omega: Array, kappa: Array) -> Rotation:
@@ -109,13 +108,6 @@ def to_camera(
     """Converts R_jb, X0 to (R, t) of computer vision."""
     turned = DOWN_FORWARD @ np.swapaxes(rotation, 1, 2)
     return turned, -(turned @ centre[:, :, None])[:, :, 0]
-
-
-def is_rotation(rotation: Matrices) -> np.ndarray:
-    """Mask of the matrices that are rotations, within the rounding of printed digits."""
-    with np.errstate(all="ignore"):
-        off = np.abs(rotation @ np.swapaxes(rotation, 1, 2) - np.eye(3)).max((1, 2))
-        return (off < ROUNDING) & (np.linalg.det(np.nan_to_num(rotation)) > 0)
 
 
 def orthogonal(rotation: Matrices) -> Matrices:

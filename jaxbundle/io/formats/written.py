@@ -19,7 +19,7 @@ from jaxtyping import Float
 from jaxbundle.block.block import Block
 from jaxbundle.block.observation_kinds import CONTROL, STATIONS
 from jaxbundle.block.wording import counted
-from jaxbundle.camera.brown import BROWN_AFFINE_LAST, DISTORTION_FREE
+from jaxbundle.camera.brown import DISTORTION_FREE
 from jaxbundle.camera.forward import BAL, BROWN_FORWARD, METASHAPE
 from jaxbundle.camera.lenses import DIVISION, EUCM, FISHEYE, FISHEYE_624, FOV, RATIONAL
 from jaxbundle.io.formats import rotations
@@ -40,7 +40,6 @@ from jaxbundle.numerics.host import on_host
 NOMINAL_PIXEL = 0.005  # mm, for a camera in mm with unknown pixel size: any size gives the same block
 MARGIN = 1.02  # factor of the extent of the rays: the format where it is unknown
 LENSES = (METASHAPE, RATIONAL, FISHEYE, FISHEYE_624, FOV, DIVISION, EUCM)  # in px, v down, elements of c = 1
-BACKWARD = tuple(name for name in BROWN_AFFINE_LAST.elements if name[0] in "KPb")
 
 
 class Written(NamedTuple):
