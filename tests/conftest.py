@@ -28,7 +28,7 @@ MEMORY, MAX_PAGES = Path("/proc/self/statm"), 3_000_000_000 // os.sysconf("SC_PA
 TESTS = Path(__file__).parent
 SHARED_DATA = TESTS.parents[1] / "shared" / "data"
 # folders whose arguments do not all have the types of the package yet, or have not been read for it
-UNCHECKED = ("docs", "house", "solve")
+UNCHECKED = ("docs", "house")
 # and those that may still leave the promotion of types and ranks to JAX
 PROMOTING = (*UNCHECKED, "block", "io", "orientation", "textbook")
 
