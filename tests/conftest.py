@@ -27,13 +27,8 @@ MAPS, MAX_MAPS = Path("/proc/self/maps"), 20_000
 MEMORY, MAX_PAGES = Path("/proc/self/statm"), 3_000_000_000 // os.sysconf("SC_PAGE_SIZE")
 TESTS = Path(__file__).parent
 SHARED_DATA = TESTS.parents[1] / "shared" / "data"
-# folders whose arguments do not all have the types of the package yet, or have not been read for it
-UNCHECKED = (
-    *("cli", "diagnosis", "docs", "house", "imagery", "independent", "measuring", "normals", "planning", "report"),
-    *("solve", "statistics"),
-)
-# and those that may still leave the promotion of types and ranks to JAX
-PROMOTING = (*UNCHECKED, "block", "io", "orientation", "textbook")
+# folders that may still leave the promotion of types and ranks to JAX
+PROMOTING = ("block", "io", "orientation", "textbook")
 
 
 def pytest_configure(config: pytest.Config) -> None:
@@ -49,7 +44,7 @@ def pytest_configure(config: pytest.Config) -> None:
 def strictness(request: pytest.FixtureRequest) -> None:
     """Types and shapes are checked, and JAX promotes neither types nor ranks, but for the folders named above."""
     folder = request.path.relative_to(TESTS).parts[0]
-    check_types(folder not in UNCHECKED)
+    check_types(True)
     jax.config.update("jax_numpy_dtype_promotion", "standard" if folder in PROMOTING else "strict")
     jax.config.update("jax_numpy_rank_promotion", "allow" if folder in PROMOTING else "raise")
 

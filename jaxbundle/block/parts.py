@@ -23,7 +23,7 @@ class Part:
 
     images: Int[np.ndarray, " image"]
     points: Int[np.ndarray, " point"]
-    common: Int[np.ndarray, " point"]
+    common: Int[np.ndarray, " common"]
 
 
 def parts_of(structure: Structure) -> tuple[Part, ...]:

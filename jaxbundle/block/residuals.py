@@ -64,7 +64,8 @@ def group_arrays(group: ObservationGroup, indices: Int[np.ndarray, "touched memb
     if size is not None and len(values):
         member = padded_members(len(values), size)
         indices, values, constants = indices[:, member], values[member], constants[member]
-        weights = weights[..., member] * (np.arange(size) < weights.shape[-1])
+        real = (np.arange(size) < weights.shape[-1]).astype(float)
+        weights = weights[..., member] * np.expand_dims(real, tuple(range(weights.ndim - 1)))
     return Group(group.structure.kind, *on_device((indices.astype(np.int32), values.T, weights, constants.T)))
 
 

@@ -117,7 +117,7 @@ def _single(block: Block, control: _Control) -> list[Finding]:
     limits = ((off, DISTANT), (control.seen, OUTLYING))
     suspects = [
         k
-        for k in np.argsort(-off)
+        for k in np.argsort(-off).tolist()
         if control.seen[k] > SEEN_SINGLE and all(v[k] > f * _typical(v, k) for v, f in limits)
     ]
     if 2 * len(suspects) >= len(off):

@@ -59,7 +59,7 @@ def wrong_rays(start: Block, adjustment: Adjustment) -> tuple[Finding, ...]:
     )
 
 
-def _without_far_off(start: Block) -> tuple[Adjustment, Int[np.ndarray, " ray"]] | None:
+def _without_far_off(start: Block) -> tuple[Adjustment, Int[np.ndarray, " wrong"]] | None:
     """The adjustment without the rays that are far off at the start, and those of them that do not fit it."""
     sigmas = np.asarray(start.rays.sigmas)
     v = np.asarray(ray_residuals(unknowns_of(start), observations_of(start))).T / sigmas
@@ -75,7 +75,7 @@ def _without_far_off(start: Block) -> tuple[Adjustment, Int[np.ndarray, " ray"]]
     return found, _outlying(start, found, far)
 
 
-def _robust(start: Block) -> tuple[Adjustment, Int[np.ndarray, " ray"]] | None:
+def _robust(start: Block) -> tuple[Adjustment, Int[np.ndarray, " wrong"]] | None:
     """The robust adjustment, and the rays that lost their weight."""
     found = attempt(start, robust=Danish(), max_iterations=ITERATIONS)
     if found is None or found.reweighting is None:
@@ -83,13 +83,13 @@ def _robust(start: Block) -> tuple[Adjustment, Int[np.ndarray, " ray"]] | None:
     return found, _outlying(start, found, np.flatnonzero(np.asarray(found.reweighting.weights) < DOWN_WEIGHTED))
 
 
-def _outlying(start: Block, found: Adjustment, rays: Int[np.ndarray, " ray"]) -> Int[np.ndarray, " ray"]:
+def _outlying(start: Block, found: Adjustment, rays: Int[np.ndarray, " candidate"]) -> Int[np.ndarray, " wrong"]:
     """Indices of rays whose residuals are not random errors."""
     size = np.linalg.norm(np.asarray(found.residuals[0])[rays] / np.asarray(start.rays.sigmas)[rays], axis=1)
     return rays[size > OUTLYING * max(float(found.sigma0), 1.0)]
 
 
-def _whole_images(start: Block, low: Int[np.ndarray, " ray"]) -> tuple[list[int], Int[np.ndarray, " ray"]]:
+def _whole_images(start: Block, low: Int[np.ndarray, " wrong"]) -> tuple[list[int], Int[np.ndarray, " left"]]:
     """Images with mostly wrong rays, and the wrong rays of the other images."""
     structure, count = start.structure, len(start.structure.image_names)
     rays, wrong = (np.bincount(x, minlength=count) for x in (structure.ray_image, structure.ray_image[low]))
@@ -97,7 +97,7 @@ def _whole_images(start: Block, low: Int[np.ndarray, " ray"]) -> tuple[list[int]
     return np.flatnonzero(whole).tolist(), low[~whole[structure.ray_image[low]]]
 
 
-def _whole_control(start: Block, low: Int[np.ndarray, " ray"]) -> tuple[list[int], Int[np.ndarray, " ray"]]:
+def _whole_control(start: Block, low: Int[np.ndarray, " wrong"]) -> tuple[list[int], Int[np.ndarray, " left"]]:
     """Control points with only wrong rays (their coordinates or their only ray are wrong), and the other wrong rays."""
     structure, count = start.structure, len(start.structure.point_names)
     rays, wrong = (np.bincount(x, minlength=count) for x in (structure.ray_point, structure.ray_point[low]))
@@ -109,8 +109,8 @@ def _whole_control(start: Block, low: Int[np.ndarray, " ray"]) -> tuple[list[int
 
 
 def _exchanged(
-    start: Block, low: Int[np.ndarray, " ray"], v: Float[np.ndarray, "ray 2"]
-) -> tuple[list[tuple[int, int]], Int[np.ndarray, " ray"]]:
+    start: Block, low: Int[np.ndarray, " wrong"], v: Float[np.ndarray, "ray 2"]
+) -> tuple[list[tuple[int, int]], Int[np.ndarray, " left"]]:
     """Pairs of rays of one image whose measured and computed positions are exchanged, and the other rays."""
     x, image = image_points(start), start.structure.ray_image
     pairs: list[tuple[int, int]] = []
@@ -154,7 +154,7 @@ def _pair(start: Block, pair: tuple[int, int], left: str) -> Finding:
     return Finding(Kind.SUSPECT, what, "exchange them back", (one, two))
 
 
-def _single(start: Block, rays: Int[np.ndarray, " ray"], v: Float[np.ndarray, "ray 2"], left: str) -> Finding:
+def _single(start: Block, rays: Int[np.ndarray, " wrong"], v: Float[np.ndarray, "ray 2"], left: str) -> Finding:
     """The finding about wrong rays, the largest residuals first."""
     structure = start.structure
     size = np.linalg.norm(v[rays], axis=1)
@@ -170,8 +170,8 @@ def _single(start: Block, rays: Int[np.ndarray, " ray"], v: Float[np.ndarray, "r
 
 
 def _axes_exchanged(
-    start: Block, rays: Int[np.ndarray, " ray"], v: Float[np.ndarray, "ray 2"]
-) -> Bool[np.ndarray, " ray"]:
+    start: Block, rays: Int[np.ndarray, " wrong"], v: Float[np.ndarray, "ray 2"]
+) -> Bool[np.ndarray, " wrong"]:
     """Whether the computed positions of rays agree with the measured ones after an exchange of x and y."""
     structure, given = start.structure, np.asarray(start.rays.coordinates)[rays]
     up = np.where(structure.rays_downward[rays], -1.0, 1.0)

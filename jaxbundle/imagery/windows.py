@@ -1,7 +1,7 @@
 """Square windows around image points, cut from the levels of image pyramids."""
 
 from collections.abc import Mapping
-from typing import NamedTuple, Protocol
+from typing import NamedTuple, Protocol, runtime_checkable
 
 import numpy as np
 from jaxtyping import Bool, Float, Int
@@ -9,6 +9,7 @@ from jaxtyping import Bool, Float, Int
 REMEMBERED = 24  # number of cached levels of images: neighbours of one strip and of the next
 
 
+@runtime_checkable
 class GreyLevels(Protocol):
     """Protocol of an image with grey values of its levels, such as `Pyramid`."""
 

@@ -91,7 +91,7 @@ def remeasured(
         sizes: rows and columns of the photographs.
     """
     template, other = _pairs(marks, sizes)
-    affine = [_affine(rays, marks, one, two) for one, two in zip(template, other, strict=True)]
+    affine = [_affine(rays, marks, one, two) for one, two in zip(template.tolist(), other.tolist(), strict=True)]
     pairs = PairTable(
         marks.image[template],
         marks.image[other],

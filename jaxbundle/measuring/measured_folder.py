@@ -118,8 +118,8 @@ def _rays(names: list[str], rays: MeasuredRays, control: ControlMarks | None) ->
 
 
 def _stations(
-    photos: PhotoSet, known: Int[np.ndarray, " image"], stations: Float[np.ndarray, "image 3"], sigmas: StationSigmas
-) -> tuple[Columns, Bool[np.ndarray, " image"]]:
+    photos: PhotoSet, known: Int[np.ndarray, " known"], stations: Float[np.ndarray, "image 3"], sigmas: StationSigmas
+) -> tuple[Columns, Bool[np.ndarray, " known"]]:
     """The table, and which stations have no standard deviations of their own: they share the shift of a receiver."""
     own = np.array([photos.photos[i].xmp.sigmas for i in known])
     without = np.logical_not(np.all((own > 0) & np.isfinite(own), axis=1))
@@ -146,7 +146,7 @@ def _control(control: ControlMarks) -> Columns:
 
 
 def _attitudes(
-    photos: PhotoSet, known: Int[np.ndarray, " image"], stations: Float[np.ndarray, "image 3"], observed: Observed
+    photos: PhotoSet, known: Int[np.ndarray, " known"], stations: Float[np.ndarray, "image 3"], observed: Observed
 ) -> Columns | None:
     """Observations of omega, phi and kappa from the attitudes of the photographs with stations."""
     given = [(photos.photos[i], stations[i]) for i in known if photos.photos[i].xmp.attitude is not None]

@@ -128,7 +128,7 @@ def _inner_cofactors(
     )
 
 
-def _products(one: NormalVector, other: NormalVector) -> Float[Array, "k k"]:
+def _products(one: NormalVector, other: NormalVector) -> Float[Array, "k l"]:
     """Scalar products of the points' parts of all pairs of vectors."""
     return jnp.einsum("kb,lb->kl", one.border, other.border) + jnp.einsum("kctn,lctn->kl", one.tiles, other.tiles)
 

@@ -9,6 +9,7 @@ As corrections contain small angles, they are applied after a few steps, and the
 not decide whether a round has converged: a dense Gauss-Newton step from its result must meet the stopping rule.
 """
 
+from contextlib import AbstractContextManager
 from typing import Any, NamedTuple
 
 import equinox as eqx
@@ -143,11 +144,17 @@ def _round(
 
     def step(carry: tuple) -> tuple:
         x, state, tried, moved = carry
-        new, state = solver.update(x, state)
+        with _promotion_of_jaxopt():
+            new, state = solver.update(x, state)
         return new, state, tried + 1, moved + jnp.any(new != x).astype(moved.dtype)
 
     x, _, tried, moved = lax.while_loop(moving, step, (start, solver.init_state(start), zero, zero))
     return x, tried, moved
+
+
+def _promotion_of_jaxopt() -> AbstractContextManager:
+    """JAX's usual promotion of types: jaxopt multiplies masks by numbers, which JAX refuses where a user forbids it."""
+    return jax.numpy_dtype_promotion("standard")
 
 
 @eqx.filter_jit

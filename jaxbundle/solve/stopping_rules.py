@@ -216,8 +216,8 @@ def measured_directions(
     scale = 1 / interior[elements.index("principal_distance")] if "principal_distance" in elements else 1.0
     if "pixel_size" in elements:
         scale = scale * interior[elements.index("pixel_size")]
-    v = ray_residuals(unknowns, observations) * scale
-    photo = x - v[0], y - v[1], -jnp.ones_like(x)
+    v = ray_residuals(unknowns, observations)
+    photo = x - v[0] * scale, y - v[1] * scale, -jnp.ones_like(x)
     return jnp.stack(rotation.apply(turn, photo)), jnp.stack(centre)
 
 

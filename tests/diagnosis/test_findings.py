@@ -322,7 +322,7 @@ def test_principal_distance_that_the_flying_height_imitates_is_told(adjustment):
     assert abs(told.size) > 0.99 and "mean Z0" in told.what and told.cure
 
 
-def test_boresight_that_is_no_misalignment_is_told():
+def test_boresight_that_is_no_misalignment_is_told(unchecked_types):
     """Its angle is that of the whole rotation; a mounting that is off by degrees is none."""
     values = np.radians([1.0, -2.0, 183.0])
     structure = SimpleNamespace(

@@ -102,7 +102,7 @@ def test_mirrored_images(shared_data, tmp_path: Path, mistake, component):
 
 
 def test_mirrored_images_of_a_block_without_points(simulated):
-    rays = simulated.rays.coordinates * jnp.array([1.0, -1.0])
+    rays = simulated.rays.coordinates * jnp.array([[1.0, -1.0]])
     block = eqx.tree_at(lambda b: b.rays.coordinates, simulated, rays)
     points = jnp.where(np.arange(len(block.object_points))[:, None] < 9, block.object_points, jnp.nan)
     found = first(intersect(eqx.tree_at(lambda b: b.object_points, block, points)))
@@ -154,7 +154,7 @@ def test_a_left_handed_object_system(shared_data, tmp_path: Path):
 
 def test_control_with_another_origin(simulated):
     group = simulated.groups[0]
-    values = group.values + jnp.array([1e5, -3e5, 0.0])
+    values = group.values + jnp.array([[1e5, -3e5, 0.0]])
     found = first(eqx.tree_at(lambda b: b.groups[0].values, simulated, values))
     assert (found.kind, found.severity) == (Kind.CONTROL_SYSTEM, Severity.CHECK)
     assert found.size == pytest.approx(np.hypot(1e5, 3e5), rel=0.01)

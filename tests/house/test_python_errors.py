@@ -62,7 +62,7 @@ OF_ADJUSTMENTS = {
 
 
 @pytest.mark.parametrize("name", OF_BLOCKS)
-def test_functions_of_a_block(name, result):
+def test_functions_of_a_block(name, result, unchecked_types):
     function, more = attrgetter(name)(jb), OF_BLOCKS[name]
     for given, cure in (
         ("folder", "jb.read('folder')"),
@@ -77,7 +77,7 @@ def test_functions_of_a_block(name, result):
 
 
 @pytest.mark.parametrize("name", OF_ADJUSTMENTS)
-def test_functions_of_an_adjustment(name, block):
+def test_functions_of_an_adjustment(name, block, unchecked_types):
     function, more = attrgetter(name)(jb), OF_ADJUSTMENTS[name]
     for given, cure in ((block, "jb.adjust(block)"), ("folder", "jb.adjust(jb.read('folder'))")):
         with pytest.raises(TypeError) as caught:
@@ -87,7 +87,7 @@ def test_functions_of_an_adjustment(name, block):
 
 
 @pytest.mark.parametrize("given", ["folder", ["folder"], {"one": "folder"}, None])
-def test_many_blocks(given, block):
+def test_many_blocks(given, block, unchecked_types):
     with pytest.raises(TypeError, match="takes a Block|takes several Blocks"):
         jb.adjust_many(given)
     with pytest.raises(TypeError, match="takes several Blocks"):
@@ -141,7 +141,7 @@ def test_covariance_of_what_is_none(result, words):
     assert words in str(caught.value) and "\n" not in str(caught.value)
 
 
-def test_covariance_of_no_function(result):
+def test_covariance_of_no_function(result, unchecked_types):
     with pytest.raises(TypeError, match="needs a function of the block, not ArrayImpl"):
         jb.covariance_of(result, result.block.object_points)
 

@@ -27,11 +27,11 @@ def test_plan_conformal_is_a_complex_polynomial():
     assert complex(dx, dy) == pytest.approx(expected)
 
 
-def test_conformal_in_space_is_a_similarity_everywhere():
+def test_conformal_in_space_is_a_similarity_everywhere(unchecked_types):
     """To first order of the coefficients: the symmetric part of the derivatives is a multiple of the unit matrix."""
     rng = np.random.default_rng(2)
     c, at = tuple(rng.normal(size=10)), rng.normal(size=3)
-    step = 1e-20  # imaginary: derivatives of polynomials without rounding
+    step = 1e-20  # imaginary, which the types do not allow: derivatives of polynomials without rounding
     along = [correction("conformal", 2, c, (*(at + 1j * step * e), 0.0)) for e in np.eye(3)]
     j = np.imag(np.array(along)).T / step
     symmetric = (j + j.T) / 2

@@ -154,7 +154,7 @@ def test_iterations_and_comparison(result, report, ax):
     assert ax.patches[0].get_data().values.sum() == len(report["points"])
 
 
-def test_new_axes_and_wrong_arguments(result):
+def test_new_axes_and_wrong_arguments(result, unchecked_types):
     ax = jb.plot.iterations(result)
     assert ax.get_xlabel() == "iteration"
     pyplot.close("all")
@@ -250,7 +250,7 @@ def test_rerun(result, monkeypatch, tmp_path):
     assert len(rerun.logged["points/tie"][0][0][1][0]) == 88 and len(rerun.logged["points/check"][0][0][1][0]) == 3
     ((_, _, pose), (_, _, lens)) = rerun.logged[f"images/{structure.image_names[2]}"][0]
     rays = structure.ray_image == 2
-    xyz = np.asarray(block.object_points)[structure.ray_point[rays]] - block.exterior.projection_centre[2]
+    xyz = np.asarray(block.object_points)[structure.ray_point[rays]] - np.asarray(block.exterior.projection_centre[2])
     u = xyz @ pose["mat3x3"]
     assert (u[:, 2] > 0).all()
     projected = u[:, :2] / u[:, 2:] * lens["focal_length"] + lens["principal_point"]

@@ -110,7 +110,7 @@ def foreign(path: Path, arrays: dict[str, list]) -> None:
         np.savez(file, fingerprint=np.array("mark"), **given)
 
 
-def test_what_a_file_holds_is_looked_at(tmp_path: Path) -> None:
+def test_what_a_file_holds_is_looked_at(tmp_path: Path, unchecked_types) -> None:
     file = tmp_path / "state"
     save(file, "mark", *FINISHED)
     found: Any = load(file, "mark", *STATE)
@@ -152,7 +152,7 @@ def test_a_state_that_says_converged_is_not_believed(tmp_path: Path, monkeypatch
     assert int(again.iterations.trials) >= int(whole.iterations.trials)
 
 
-def test_nothing_is_left_where_a_checkpoint_cannot_be_written(tmp_path: Path, monkeypatch) -> None:
+def test_nothing_is_left_where_a_checkpoint_cannot_be_written(tmp_path: Path, monkeypatch, unchecked_types) -> None:
     (tmp_path / whole_files.marked_name()).write_text("being written")
     planted = tmp_path / "state.part"
     planted.symlink_to(tmp_path / "elsewhere")
@@ -163,7 +163,7 @@ def test_nothing_is_left_where_a_checkpoint_cannot_be_written(tmp_path: Path, mo
     assert len(list(tmp_path.iterdir())) == 2
 
 
-def test_what_a_killed_process_left_is_removed(tmp_path: Path, monkeypatch) -> None:
+def test_what_a_killed_process_left_is_removed(tmp_path: Path, monkeypatch, unchecked_types) -> None:
     left = tmp_path / whole_files.marked_name()
     left.write_text("half a checkpoint")
     monkeypatch.setattr(whole_files, "_start", lambda process: 1)  # the process of that number is another one by now

@@ -183,7 +183,7 @@ def test_under_jit_and_second_derivatives(forward):
     np.testing.assert_allclose(second, (8 * one - two) / 6, rtol=1e-5)
 
 
-def test_what_has_no_derivatives_says_so():
+def test_what_has_no_derivatives_says_so(unchecked_types):
     def robust(shift: float) -> Array:
         moved = eqx.tree_at(lambda b: b.rays.coordinates, BLOCK, BLOCK.rays.coordinates + shift)
         return jb.adjust(moved, robust=jb.robust.Huber()).sigma0

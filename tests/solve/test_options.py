@@ -125,7 +125,7 @@ def test_the_rule_of_one_block_serves_another(block: jb.Block):
         assert jb.adjust(other, stop=rule, precision=False).trustworthy
 
 
-def test_wrong_options_are_told(block: jb.Block):
+def test_wrong_options_are_told(block: jb.Block, unchecked_types):
     with pytest.raises(TypeError, match="adjust has no option 'methods'; there are method, stop, max_iterations"):
         jb.adjust(block, methods="gauss-newton")  # pyright: ignore[reportCallIssue]
     with pytest.raises(TypeError, match="adjust takes Options, not str"):

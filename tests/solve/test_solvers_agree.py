@@ -139,6 +139,6 @@ def test_second_opinion_is_for_small_blocks():
 
 def test_gauss_newton_says_when_it_diverges(block):
     """From images turned upside down no full step leads back."""
-    angles = block.exterior.angles + np.array([2.0, 1.0, 0.5])
+    angles = block.exterior.angles + np.array([[2.0, 1.0, 0.5]])
     found = adjust(eqx.tree_at(lambda b: b.exterior.angles, block, angles), method="gauss-newton", max_iterations=30)
     assert found.status is not Status.CONVERGED
