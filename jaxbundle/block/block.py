@@ -196,7 +196,7 @@ class Structure:
         return repeat
 
     @cached_property
-    def rays_of_camera(self) -> tuple[Int[np.ndarray, " ray"], ...]:
+    def rays_of_camera(self) -> tuple[Int[np.ndarray, " _ray"], ...]:
         """Indices of the rays of each camera, in ascending order."""
         camera = self.image_camera[self.ray_image]
         order = np.argsort(camera, kind="stable")

@@ -2,7 +2,9 @@
 
 import dataclasses
 from collections.abc import Iterable, Sequence
+from typing import Any
 
+import equinox as eqx
 import numpy as np
 from jaxtyping import Float
 
@@ -33,22 +35,24 @@ def with_interior_held(block: Block) -> Block:
     return dataclasses.replace(block, structure=structure)
 
 
-def with_sigmas_multiplied(block: Block, factors: Sequence[Float[np.ndarray, "member _component"]]) -> Block:
+def with_sigmas_multiplied(block: Block, factors: Sequence[Float[np.ndarray, "_member _component"]]) -> Block:
     """The block with the sigmas of rays and of each group multiplied by factors, of components or whole members.
 
     All observed components of a member with covariances have the same factor, and those are multiplied by its square.
     """
 
-    def multiplied(group: ObservationGroup, factor: Float[np.ndarray, "member _component"]) -> ObservationGroup:
-        sigmas, covariances = on_host((group.sigmas, group.covariances))
-        if covariances is not None:
-            of_member = np.where(group.structure.observed, factor, 0.0).max(1)[:, None, None]
-            covariances = covariances * np.where(of_member > 0, of_member, 1.0) ** 2
-        return dataclasses.replace(group, sigmas=sigmas * factor, covariances=covariances)
+    def values(block: Block) -> list[Any]:
+        correlated = [group.covariances for group in block.groups if group.covariances is not None]
+        return [block.rays.sigmas, *(group.sigmas for group in block.groups), *correlated]
 
-    groups = tuple(multiplied(group, factor) for group, factor in zip(block.groups, factors[1:], strict=True))
-    rays = dataclasses.replace(block.rays, sigmas=on_host(block.rays.sigmas) * factors[0])
-    return dataclasses.replace(block, **on_device({"rays": rays, "groups": groups}))
+    of_members = [
+        np.where(group.structure.observed, factor, 0.0).max(1)
+        for group, factor in zip(block.groups, factors[1:], strict=True)
+        if group.covariances is not None
+    ]
+    squares = [np.where(f > 0, f, 1.0)[:, None, None] ** 2 for f in of_members]
+    new = [old * factor for old, factor in zip(on_host(values(block)), [*factors, *squares], strict=True)]
+    return eqx.tree_at(values, block, on_device(new))
 
 
 def without_ray(block: Block, ray: int) -> Block:
