@@ -129,7 +129,7 @@ def relative_orientation(
     second: Real[ArrayLike, "point 2"] | Nested,
     sigmas: Real[ArrayLike, "..."] | Nested = 1.0,
     *,
-    second_camera: tuple[CameraModel, Real[ArrayLike, " element"] | Nested] | None = None,
+    second_camera: tuple[CameraModel, Real[ArrayLike, " element_of_second"] | Nested] | None = None,
     convention: Convention = "dependent",
     base: float = 1.0,
     robust: bool = True,
