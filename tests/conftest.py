@@ -7,7 +7,7 @@ os.environ.setdefault("OPENBLAS_NUM_THREADS", "1")
 
 import jax  # noqa: E402
 import pytest
-from cases.typechecker import check_types, unchecked  # before the package
+from cases.typechecker import unchecked  # before the package
 from hypothesis import settings
 
 from jaxbundle.numerics import programs
@@ -18,6 +18,9 @@ QUICKLY = "--xla_backend_optimization_level=0 --xla_cpu_use_fusion_emitters=fals
 os.environ["XLA_FLAGS"] = f"{os.environ.get('XLA_FLAGS', '')} {QUICKLY}"
 jax.config.update("jax_enable_x64", True)
 jax.config.update("jax_num_cpu_devices", 4)
+# the package leaves no promotion of types or ranks to JAX
+jax.config.update("jax_numpy_dtype_promotion", "strict")
+jax.config.update("jax_numpy_rank_promotion", "raise")
 
 settings.register_profile("reproducible", derandomize=True, deadline=None)
 settings.load_profile("reproducible")
@@ -27,8 +30,6 @@ MAPS, MAX_MAPS = Path("/proc/self/maps"), 20_000
 MEMORY, MAX_PAGES = Path("/proc/self/statm"), 3_000_000_000 // os.sysconf("SC_PAGE_SIZE")
 TESTS = Path(__file__).parent
 SHARED_DATA = TESTS.parents[1] / "shared" / "data"
-# folders that may still leave the promotion of types and ranks to JAX
-PROMOTING = ("block", "io", "orientation", "textbook")
 
 
 def pytest_configure(config: pytest.Config) -> None:
@@ -38,15 +39,6 @@ def pytest_configure(config: pytest.Config) -> None:
         programs.keep_in(Path(config.cache.mkdir("programs")))
         jax.config.update("jax_persistent_cache_min_compile_time_secs", 0.1)
         jax.config.update("jax_persistent_cache_min_entry_size_bytes", -1)
-
-
-@pytest.fixture(scope="module", autouse=True)
-def strictness(request: pytest.FixtureRequest) -> None:
-    """Types and shapes are checked, and JAX promotes neither types nor ranks, but for the folders named above."""
-    folder = request.path.relative_to(TESTS).parts[0]
-    check_types(True)
-    jax.config.update("jax_numpy_dtype_promotion", "standard" if folder in PROMOTING else "strict")
-    jax.config.update("jax_numpy_rank_promotion", "allow" if folder in PROMOTING else "raise")
 
 
 @pytest.fixture(scope="module", autouse=True)

@@ -29,21 +29,15 @@ def checked(function: Callable[..., Any]) -> Callable[..., Any]:
     return on_call
 
 
-def check_types(on: bool) -> None:
-    """Switches the checks on or off."""
-    jaxtyping.config.update("jaxtyping_disable", not on)
-
-
 @contextmanager
 def unchecked() -> Iterator[None]:
     """Without checks, for what passes wrong types on purpose."""
-    before = not jaxtyping.config.jaxtyping_disable
-    check_types(False)
+    before = jaxtyping.config.jaxtyping_disable
+    jaxtyping.config.update("jaxtyping_disable", True)
     try:
         yield
     finally:
-        check_types(before)
+        jaxtyping.config.update("jaxtyping_disable", before)
 
 
 jaxtyping.install_import_hook("jaxbundle", f"{__name__}.{checked.__name__}")
-check_types(False)  # the fixture `strictness` switches them on
