@@ -110,7 +110,8 @@ class BundleSolver(optx.AbstractLeastSquaresSolver[OrderedUnknowns, Any, Any, St
         problem, rule = args
         factor = jnp.where(state.certifying, 0.0, state.damping.factor)
         trial = trial_step(y, problem, factor)
-        angle_squared = jnp.maximum(trial.residual_change - 2 * trial.noise, 0.0) / (2 * trial.cost)
+        change = jnp.maximum(trial.residual_change - 2 * trial.noise, 0.0)
+        angle_squared = jnp.where(trial.cost > 0, change / (2 * trial.cost), 0.0)  # no residuals: none can change
         accepted, damping = self.damping.judge_step(
             state.damping, trial.reduction, trial.predicted, trial.cost, trial.noise
         )

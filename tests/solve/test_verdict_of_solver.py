@@ -8,6 +8,7 @@ import jax
 import jax.numpy as jnp
 import numpy as np
 import pytest
+from cases.gruber_blocks import gruber_block, perimeter, with_control
 
 from jaxbundle.block.block import Block, Datum, Structure
 from jaxbundle.block.datum import with_datum
@@ -37,6 +38,16 @@ def test_the_gradient_is_held_against_the_residuals_and_their_rounding():
     assert not is_flat(jnp.asarray(2.1 * FLAT), cost, noise, FLAT)
     assert is_flat(jnp.asarray(2.1 * FLAT), cost, jnp.asarray(0.5e-16), FLAT)
     assert not is_flat(jnp.asarray(jnp.nan), cost, noise, FLAT)
+
+
+@pytest.mark.parametrize("method", ["levenberg-marquardt", "gauss-newton"])
+def test_a_block_without_any_residual_converges(method):
+    """Level photographs with computed coordinates: v is exactly 0, and so is the change of v."""
+    block = gruber_block(2, 2)
+    known = perimeter(block)
+    found = adjust(with_control(block, known, known), method=method, precision=False)
+    assert float(found.vtpv) == 0.0 and float(found.sigma0) == 0.0
+    assert found.status is Status.CONVERGED and int(found.iterations.trials) <= 2
 
 
 @pytest.mark.parametrize("principal_distance", [None, 1e-12])
