@@ -7,6 +7,7 @@ import subprocess
 import sys
 from pathlib import Path
 
+import jax
 import pytest
 
 ROOT = Path(__file__).parents[2]
@@ -18,7 +19,8 @@ def printed(capsys):
     """What an example prints; all but the first one run in this process, which has most of their programs."""
 
     def run(name: str) -> str:
-        runpy.run_path(str(ROOT / "examples" / name), run_name="__main__")
+        with jax.numpy_dtype_promotion("standard"), jax.numpy_rank_promotion("allow"):  # as users have it
+            runpy.run_path(str(ROOT / "examples" / name), run_name="__main__")
         out, err = capsys.readouterr()
         assert err == ""
         return out
