@@ -7,7 +7,7 @@ from jaxtyping import Float
 
 from jaxbundle.block.block import Block, Structure
 from jaxbundle.block.findings import Finding, Kind, Subject
-from jaxbundle.block.observed_places import observed_places
+from jaxbundle.block.observed_places import frame_of, observed_places
 from jaxbundle.block.parts import Part
 from jaxbundle.block.similarity_defect import SimilarityDefect, displacements, similarity_defect
 from jaxbundle.block.wording import NAMED, counted, named
@@ -36,10 +36,11 @@ def gauge_findings(block: Block, gauge: Gauge) -> list[Finding]:
     if not gauge.whole.shape[1]:
         return []
     defect = similarity_defect(orthonormal(gauge.whole))
-    what, places = defect.words, observed_places(block)
+    frame = frame_of(block)
+    what, places = defect.words, observed_places(block, frame)
     subjects: tuple[Subject, ...] = ()
     if defect.count == len(defect.axes) == 1:
-        at = np.array([place for *_, place in places]).reshape(-1, 3) - gauge.origin
+        at = np.array([place for *_, place in places]).reshape(-1, 3) + frame.centre - gauge.origin
         turn = gauge.whole / np.linalg.norm(gauge.whole[3:6])
         size = np.linalg.norm(displacements(turn, at, gauge.radius)[0], axis=1)
         resting = [places[k][:2] for k in np.flatnonzero(size <= AT_REST * gauge.radius)]

@@ -8,13 +8,16 @@ import jax
 import jax.numpy as jnp
 import numpy as np
 import pytest
+from cases.free_networks import free_network
 from cases.gruber_blocks import gruber_block, perimeter, with_control
 
 from jaxbundle.block.block import Block, Datum, Structure
 from jaxbundle.block.datum import with_datum
+from jaxbundle.block.datum_defect import datum_defect
 from jaxbundle.block.datum_precision import datum_precision, weak_datum
 from jaxbundle.block.findings import Kind, Severity
 from jaxbundle.block.observation_kinds import CONTROL, observation_group
+from jaxbundle.block.observed_places import frame_of
 from jaxbundle.block.parts import parts_of
 from jaxbundle.block.problems import BlockError
 from jaxbundle.io.block_folder import read_block_folder
@@ -23,6 +26,7 @@ from jaxbundle.planning.simulation import simulate
 from jaxbundle.solve.adjust import adjust
 from jaxbundle.solve.adjustment import Status
 from jaxbundle.solve.levenberg_marquardt import FLAT, is_flat
+from jaxbundle.solve.similarity_findings import Gauge, gauge_findings
 
 
 @pytest.fixture(scope="module")
@@ -169,3 +173,16 @@ def test_full_steps_end_what_damped_ones_creep_along(monkeypatch):
     assert float(found.vtpv) == pytest.approx(float(expected.vtpv), rel=1e-10)
     np.testing.assert_allclose(found.block.object_points, expected.block.object_points, rtol=0, atol=1e-6)
     assert adjust(block, max_iterations=1, **options).status is Status.CREEPING
+
+
+def test_an_undetermined_rotation_about_control_is_told_with_its_line():
+    """What neither moves nor is moved: two control points, far from the origin of the object system."""
+    block, known = free_network(), np.array([[5000.0, 700.0, 20.0], [5800.0, 700.0, 20.0]])
+    group = observation_group(CONTROL, np.arange(2)[:, None], known, np.full(known.shape, 0.05))
+    points = block.object_points.at[:2].set(known)
+    block = dataclasses.replace(eqx.tree_at(lambda b: b.object_points, block, points), groups=(group,))
+    frame, whole = frame_of(block), datum_defect(block).directions
+    (found,) = gauge_findings(block, Gauge(whole, (whole,), (), frame.centre, frame.radius))
+    names = block.structure.point_names[:2]
+    assert f"the rotation about the line through {names[0]}, {names[1]}" in found.what
+    assert [subject.names[0] for subject in found.subjects] == list(names)
