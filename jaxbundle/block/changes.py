@@ -40,16 +40,14 @@ def with_sigmas_multiplied(block: Block, factors: Sequence[Float[np.ndarray, "_m
 
     All observed components of a member with covariances have the same factor, and those are multiplied by its square.
     """
+    groups = range(len(block.groups))
+    correlated = [k for k in groups if block.groups[k].covariances is not None]
 
     def values(block: Block) -> list[Any]:
-        correlated = [group.covariances for group in block.groups if group.covariances is not None]
-        return [block.rays.sigmas, *(group.sigmas for group in block.groups), *correlated]
+        sigmas = [block.groups[k].sigmas for k in groups]
+        return [block.rays.sigmas, *sigmas, *(block.groups[k].covariances for k in correlated)]
 
-    of_members = [
-        np.where(group.structure.observed, factor, 0.0).max(1)
-        for group, factor in zip(block.groups, factors[1:], strict=True)
-        if group.covariances is not None
-    ]
+    of_members = [np.where(block.groups[k].structure.observed, factors[1 + k], 0.0).max(1) for k in correlated]
     squares = [np.where(f > 0, f, 1.0)[:, None, None] ** 2 for f in of_members]
     new = [old * factor for old, factor in zip(on_host(values(block)), [*factors, *squares], strict=True)]
     return eqx.tree_at(values, block, on_device(new))

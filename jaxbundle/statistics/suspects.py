@@ -346,7 +346,7 @@ def with_errors_removed(block: Block, errors: Sequence[tuple[ErrorColumn, float]
         else:
             np.subtract.at(tables[column.table - 1], (column.member, column.component), change)
     return eqx.tree_at(
-        lambda b: (b.rays.coordinates, b.object_points, *(group.values for group in b.groups)),
+        lambda b: (b.rays.coordinates, b.object_points, *(b.groups[k].values for k in range(len(tables)))),
         block,
         on_device((rays, points, *tables)),
     )
