@@ -20,6 +20,6 @@ def test_sigmas_and_covariances_are_multiplied(alone):
     np.testing.assert_allclose(found.rays.sigmas, 2 * np.asarray(block.rays.sigmas), rtol=1e-15)
     for new, old in zip(found.groups, block.groups, strict=True):
         np.testing.assert_allclose(new.sigmas, 3 * np.asarray(old.sigmas), rtol=1e-15)
-        np.testing.assert_allclose(np.asarray(old.weights), 3 * np.asarray(new.weights), rtol=1e-12)
+        np.testing.assert_allclose(np.asarray(old.weights), 3 * np.asarray(new.weights), rtol=1e-12, atol=1e-12)
     same = with_errors_removed(found, [])
     np.testing.assert_array_equal(same.rays.coordinates, block.rays.coordinates)
