@@ -200,6 +200,7 @@ class Structure:
         """Indices of the rays of each camera, in ascending order."""
         camera = self.image_camera[self.ray_image]
         order = np.argsort(camera, kind="stable")
+        order.setflags(write=False)
         return tuple(np.split(order, np.searchsorted(camera[order], np.arange(1, len(self.cameras)))))
 
     @property

@@ -23,3 +23,11 @@ def test_sigmas_and_covariances_are_multiplied(alone):
         np.testing.assert_allclose(np.asarray(old.weights), 3 * np.asarray(new.weights), rtol=1e-12, atol=1e-12)
     same = with_errors_removed(found, [])
     np.testing.assert_array_equal(same.rays.coordinates, block.rays.coordinates)
+
+
+def test_rays_of_cameras_are_all_rays_and_cannot_be_changed():
+    structure = case("correlated").structure
+    rays = structure.rays_of_camera
+    assert len(rays) == len(structure.cameras)
+    np.testing.assert_array_equal(np.sort(np.concatenate(rays)), np.arange(len(structure.ray_image)))
+    assert not any(own.flags.writeable for own in rays)
