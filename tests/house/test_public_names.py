@@ -4,7 +4,7 @@ import ast
 import importlib
 import subprocess
 import sys
-from collections import defaultdict
+from collections import Counter, defaultdict
 from operator import attrgetter
 from pathlib import Path
 
@@ -82,6 +82,12 @@ def test_a_module_name_occurs_once():
         if path.stem != "__init__":
             places[path.stem].append(str(path.relative_to(PACKAGE)))
     assert not {name: paths for name, paths in places.items() if len(paths) > 1}
+
+
+def test_a_test_file_has_its_own_name():
+    """pytest imports a test file by its name alone: of two with one name, the second is an error of the whole run."""
+    names = Counter(path.name for path in (ROOT / "tests").rglob("test_*.py"))
+    assert not [name for name, count in names.items() if count > 1]
 
 
 def test_import_loads_nothing_heavy():
