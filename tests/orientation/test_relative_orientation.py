@@ -95,8 +95,14 @@ def test_two_wrong_points_of_twelve(shared_data):
     np.testing.assert_array_equal(found.used, np.arange(POINTS) < 10)
 
 
-@pytest.mark.parametrize("base", [(1, 0.1, -0.05), (0, -1, 0.1), (0.02, 0.01, -0.5)], ids=["x", "y", "forward"])
-@pytest.mark.parametrize("relief", [0.3, 0.0], ids=["relief", "plane"])
+ACROSS, ALONG, FORWARD = (1, 0.1, -0.05), (0, -1, 0.1), (0.02, 0.01, -0.5)
+
+
+@pytest.mark.parametrize(
+    ("base", "relief"),
+    [(ACROSS, 0.3), (ALONG, 0.3), (FORWARD, 0.3), (ACROSS, 0.0), (ALONG, 0.0)],
+    ids=["x", "y", "forward", "x, plane", "y, plane"],
+)
 def test_exact_coordinates_give_the_truth(base, relief):
     first, second, r, x = pair(3, base, relief)
     found = oriented(first, second, 0, noise=0.0)
@@ -104,6 +110,17 @@ def test_exact_coordinates_give_the_truth(base, relief):
     np.testing.assert_allclose(found.rotations[1], r, atol=1e-9)
     np.testing.assert_allclose(found.projection_centres[1], scale * np.array(base), atol=1e-8)
     np.testing.assert_allclose(found.model_points, scale * x, atol=1e-7)
+    assert found.converged and found.used.all() and found.in_front.all() and np.abs(found.parallaxes).max() < 1e-9
+
+
+def test_both_orientations_of_a_plane_are_found():
+    """With motion towards a plane its false twin is possible too; rounding decides which of the two is first."""
+    first, second, r, _ = pair(3, FORWARD, relief=0.0)
+    found = oriented(first, second, 0, noise=0.0)
+    assert found.ambiguous and found.words.startswith("another orientation fits the points as well")
+    both = np.array([found.rotations[1], found.other_rotation])
+    errors = np.abs(both - r).max((1, 2))
+    assert errors.min() < 1e-9 and errors.max() > 1e-3
     assert found.converged and found.used.all() and found.in_front.all() and np.abs(found.parallaxes).max() < 1e-9
 
 
@@ -115,7 +132,7 @@ def test_flat_ground_has_a_false_twin_that_is_not_chosen():
 
 
 def test_forward_motion():
-    first, second, r, _ = pair(1, (0.02, 0.01, -0.5))
+    first, second, r, _ = pair(1, FORWARD)
     found = oriented(first, second, 1)
     assert found.names[:2] == ("bx", "by") and found.words == ""
     np.testing.assert_allclose(found.rotations[1], r, atol=5e-3)
