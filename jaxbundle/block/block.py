@@ -9,7 +9,7 @@ Units: object coordinates and image coordinates in the user's units, angles in r
 
 from dataclasses import dataclass, field
 from functools import cached_property
-from typing import NamedTuple
+from typing import Any, NamedTuple
 
 import equinox as eqx
 import numpy as np
@@ -23,7 +23,7 @@ from jaxbundle.block.wording import counted
 from jaxbundle.camera.fiducials import InnerOrientation
 from jaxbundle.camera.model import CameraModel, mixture
 from jaxbundle.geometry.rotation import OMEGA_PHI_KAPPA, RotationSystem
-from jaxbundle.numerics.host import freeze_arrays, is_concrete, on_device, on_host
+from jaxbundle.numerics.host import freeze_arrays, is_concrete, on_device, on_host_or_traced
 
 MAX_CAMERAS = 5  # named where a block shows itself
 CENTRE_ELEMENTS = ("X0", "Y0", "Z0")
@@ -340,14 +340,16 @@ class Block(Facade):
         def parts(block: Block) -> tuple:
             return block.exterior.projection_centre, block.object_points, block.check_points.coordinates, block.groups
 
-        (centre, points, checks, groups), shift = on_host((parts(self), shift))
-        groups = tuple(_moved(group, shift) for group in groups)
-        return eqx.tree_at(
-            parts, self, on_device((centre + shift[None], points + shift[None], checks + shift[None], groups))
-        )
+        return eqx.tree_at(parts, self, _moved(parts(self), shift))
 
 
-def _moved(group: ObservationGroup, shift: Float[Array | np.ndarray, "3"]) -> ObservationGroup:
+@on_host_or_traced
+def _moved(_xp: Any, parts: tuple, shift: Any) -> tuple:
+    *coordinates, groups = parts
+    return *(x + shift[None] for x in coordinates), tuple(_moved_group(group, shift) for group in groups)
+
+
+def _moved_group(group: ObservationGroup, shift: Float[Array | np.ndarray, "3"]) -> ObservationGroup:
     """A group in a shifted object system; its arrays are numpy's or traced."""
     kind = group.structure.kind
     if kind.in_object_system:

@@ -8,11 +8,11 @@ import equinox as eqx
 import numpy as np
 from jaxtyping import Float
 
-from jaxbundle.block.block import Block, CheckPoints, Rays
+from jaxbundle.block.block import Block
 from jaxbundle.block.findings import Finding, in_order
 from jaxbundle.block.given import require_a
 from jaxbundle.block.observation_kinds import ObservationGroup
-from jaxbundle.numerics.host import on_device, on_host
+from jaxbundle.numerics.host import on_host_or_traced, selected, tree_with
 
 
 def with_findings(block: Block, findings: Iterable[Finding]) -> Block:
@@ -49,8 +49,22 @@ def with_sigmas_multiplied(block: Block, factors: Sequence[Float[np.ndarray, "_m
 
     of_members = [np.where(block.groups[k].structure.observed, factors[1 + k], 0.0).max(1) for k in correlated]
     squares = [np.where(f > 0, f, 1.0)[:, None, None] ** 2 for f in of_members]
-    new = [old * factor for old, factor in zip(on_host(values(block)), [*factors, *squares], strict=True)]
-    return eqx.tree_at(values, block, on_device(new))
+    return eqx.tree_at(values, block, _products(values(block), [*factors, *squares]))
+
+
+@on_host_or_traced
+def _products(_xp: Any, values: list, factors: list) -> list:
+    return [value * factor for value, factor in zip(values, factors, strict=True)]
+
+
+def with_unknowns_of(block: Block, other: Block) -> Block:
+    """The observations and fixed coordinates of a block with the unknowns of another one of the same structure."""
+    points = np.where(block.structure.point_free, np.asarray(other.object_points), np.asarray(block.object_points))
+    return tree_with(
+        lambda b: (b.exterior, b.interior, b.parameters, b.object_points),
+        block,
+        (other.exterior, other.interior, other.parameters, points),
+    )
 
 
 def without_ray(block: Block, ray: int) -> Block:
@@ -64,8 +78,7 @@ def without_ray(block: Block, ray: int) -> Block:
     if lonely:
         keep[others] = False
     structure = dataclasses.replace(structure, ray_image=structure.ray_image[keep], ray_point=structure.ray_point[keep])
-    coordinates, sigmas = on_host((block.rays.coordinates, block.rays.sigmas))
-    block = dataclasses.replace(block, structure=structure, rays=Rays(*on_device((coordinates[keep], sigmas[keep]))))
+    block = dataclasses.replace(block, structure=structure, rays=selected(block.rays, keep))
     return _without_point(block, int(point)) if lonely else block
 
 
@@ -100,15 +113,12 @@ def _without_point(block: Block, point: int) -> Block:
                 indices[:, k] = number[indices[:, k]]
         return dataclasses.replace(group, structure=dataclasses.replace(group.structure, indices=indices))
 
-    check = CheckPoints(
-        *(on_device(on_host(x)[known]) for x in (block.check_points.coordinates, block.check_points.sigmas))
-    )
     return dataclasses.replace(
         block,
         structure=structure,
-        object_points=on_device(on_host(block.object_points)[keep]),
+        object_points=selected(block.object_points, keep),
         groups=tuple(map(renumbered, block.groups)),
-        check_points=check,
+        check_points=selected(block.check_points, known),
     )
 
 

@@ -19,6 +19,7 @@ The rest of the package does not depend on the list of kinds.
 from collections.abc import Callable
 from dataclasses import dataclass
 from functools import cache
+from typing import Any
 
 import equinox as eqx
 import numpy as np
@@ -26,7 +27,7 @@ from jaxtyping import Array, Bool, Float, Int
 
 from jaxbundle.camera.collinearity import Vector
 from jaxbundle.geometry.rotation import Rotation, Scalar
-from jaxbundle.numerics.host import array_module, freeze_arrays, on_device
+from jaxbundle.numerics.host import freeze_arrays, on_device, on_host_or_traced
 from jaxbundle.numerics.trial import defect
 
 
@@ -130,26 +131,36 @@ class ObservationGroup(eqx.Module):
     @property
     def weights(self) -> Float[Array, "member component *component"]:
         """Square roots of the weights: 1/sigma, or L^-1 for covariances L L^T; 0 where not observed."""
-        observed, xp = self.structure.observed, array_module((self.sigmas, self.covariances))
-        if self.covariances is None:
-            return on_device(xp.divide(observed.astype(float), self.sigmas))
-        both = observed[:, :, None] & observed[:, None, :]
-        size = observed.shape[1]
-        factor = xp.linalg.cholesky(xp.where(both, self.covariances, np.eye(size)))
-        return on_device(xp.where(both, xp.linalg.solve(factor, np.broadcast_to(np.eye(size), factor.shape)), 0.0))
+        return _weights(self.structure.observed, self.sigmas, self.covariances)
 
     def unweighted(self, weighted: Float[Array, "member component"]) -> Float[Array, "member component"]:
         """Residuals from weighted residuals (times the square roots of the weights); 0 where not observed."""
-        xp = array_module((weighted, self.sigmas, self.covariances))
-        if self.covariances is None:
-            return on_device(xp.multiply(weighted, self.sigmas))
-        missing = np.eye(weighted.shape[1]) * ~self.structure.observed[:, None, :]
-        return on_device(xp.linalg.solve(xp.add(self.weights, missing), xp.expand_dims(weighted, 2))[..., 0])
+        matrices = None if self.covariances is None else self.weights
+        return _unweighted(self.structure.observed, weighted, self.sigmas, matrices)
 
     @property
     def count(self) -> int:
         """Number of observed components."""
         return int(self.structure.observed.sum())
+
+
+@on_host_or_traced
+def _weights(xp: Any, observed: Any, sigmas: Any, covariances: Any) -> Any:
+    if covariances is None:
+        return xp.divide(observed.astype(float), sigmas)
+    both = observed[:, :, None] & observed[:, None, :]
+    size = observed.shape[1]
+    factor = xp.linalg.cholesky(xp.where(both, covariances, np.eye(size)))
+    return xp.where(both, xp.linalg.solve(factor, np.broadcast_to(np.eye(size), factor.shape)), 0.0)
+
+
+@on_host_or_traced
+def _unweighted(xp: Any, observed: Any, weighted: Any, sigmas: Any, matrices: Any) -> Any:
+    """`matrices`: the square roots of the weights of correlated components."""
+    if matrices is None:
+        return xp.multiply(weighted, sigmas)
+    missing = np.eye(weighted.shape[1]) * ~observed[:, None, :]
+    return xp.linalg.solve(xp.add(matrices, missing), xp.expand_dims(weighted, 2))[..., 0]
 
 
 def _coordinates(point: Vector, observed: Vector) -> Vector:

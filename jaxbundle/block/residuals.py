@@ -17,7 +17,7 @@ from jaxbundle.block.unknowns import Unknowns, corrected_in_angles
 from jaxbundle.camera.collinearity import photo_vector
 from jaxbundle.camera.model import CameraModel
 from jaxbundle.geometry.rotation import RotationSystem
-from jaxbundle.numerics.host import on_device, on_host
+from jaxbundle.numerics.host import on_device, on_host_or_traced
 
 
 class Group(eqx.Module):
@@ -59,14 +59,19 @@ def group_arrays(group: ObservationGroup, indices: Int[np.ndarray, "touched memb
     Padded to `size` with copies of the first member, whose weights are 0: their residuals are finite. An empty
     group remains empty.
     """
-    values, weights, constants = on_host((group.values, group.weights, group.constants))
+    kind, indices = group.structure.kind, indices.astype(np.int32)
+    return Group(kind, *_group_arrays(indices, group.values, group.weights, group.constants, size))
+
+
+@on_host_or_traced
+def _group_arrays(_xp: Any, indices: Any, values: Any, weights: Any, constants: Any, size: int | None) -> tuple:
     weights = weights.T if weights.ndim == 2 else weights.transpose(1, 2, 0)
     if size is not None and len(values):
         member = padded_members(len(values), size)
         indices, values, constants = indices[:, member], values[member], constants[member]
         real = (np.arange(size) < weights.shape[-1]).astype(float)
         weights = weights[..., member] * np.expand_dims(real, tuple(range(weights.ndim - 1)))
-    return Group(group.structure.kind, *on_device((indices.astype(np.int32), values.T, weights, constants.T)))
+    return indices, values.T, weights, constants.T
 
 
 def padded_members(count: int, size: int) -> Int[np.ndarray, " padded"]:
@@ -78,20 +83,17 @@ def padded_members(count: int, size: int) -> Int[np.ndarray, " padded"]:
 def observations_of(block: Block) -> Observations:
     """The observations of a block as arrays."""
     structure, in_angles = block.structure, corrected_in_angles(block.structure)
-    coordinates, sigmas = on_host((block.rays.coordinates, block.rays.sigmas))
-    image_camera, ray_image, ray_point = on_device(
-        tuple(x.astype(np.int32) for x in (structure.image_camera, structure.ray_image, structure.ray_point))
+    indices = structure.image_camera, structure.ray_image, structure.ray_point
+    free = (
+        structure.exterior_free.T,
+        structure.interior_free.T[list(structure.interior_columns)],
+        structure.parameter_free,
+        structure.point_free.T,
+        in_angles,
     )
-    measured, weights = on_device((coordinates.T, 1 / sigmas.T))
-    exterior_free, interior_free, parameter_free, point_free, free_in_angles = on_device(
-        (
-            structure.exterior_free.T,
-            structure.interior_free.T[list(structure.interior_columns)],
-            structure.parameter_free,
-            structure.point_free.T,
-            in_angles,
-        )
-    )
+    groups = tuple(group_arrays(group, group.structure.indices.T) for group in block.groups)
+    coordinates, weights = _measured(block.rays.coordinates, block.rays.sigmas)
+    image_camera, ray_image, ray_point = on_device([index.astype(np.int32) for index in indices])
     return Observations(
         structure.model,
         structure.interior_columns,
@@ -99,15 +101,16 @@ def observations_of(block: Block) -> Observations:
         image_camera,
         ray_image,
         ray_point,
-        measured,
+        coordinates,
         weights,
-        tuple(group_arrays(group, group.structure.indices.T) for group in block.groups),
-        exterior_free,
-        interior_free,
-        parameter_free,
-        point_free,
-        free_in_angles,
+        groups,
+        *on_device(free),
     )
+
+
+@on_host_or_traced
+def _measured(_xp: Any, coordinates: Any, sigmas: Any) -> tuple:
+    return coordinates.T, 1 / sigmas.T
 
 
 def touched_values(unknowns: Unknowns, kind: str, index: Array) -> Any:

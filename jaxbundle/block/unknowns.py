@@ -11,6 +11,7 @@ Arrays have the component first and the long axis last.
 """
 
 from collections.abc import Callable
+from typing import Any
 
 import equinox as eqx
 import jax
@@ -22,7 +23,7 @@ from jaxbundle.block.block import Block, Structure
 from jaxbundle.geometry import rotation
 from jaxbundle.geometry.rotation import Angles, Rotation, RotationSystem, Scalar
 from jaxbundle.numerics.compilation import Compiled
-from jaxbundle.numerics.host import is_concrete, on_device, on_host
+from jaxbundle.numerics.host import is_concrete, on_device, on_host_or_traced
 from jaxbundle.numerics.shapes import grid_size
 
 
@@ -47,35 +48,31 @@ class Correction(eqx.Module):
 
 def unknowns_of(block: Block) -> Unknowns:
     """The approximate values of a block as unknowns."""
-    angles, centre, interior, parameters, points = on_host(
-        (
-            block.exterior.angles,
-            block.exterior.projection_centre,
-            block.interior.elements,
-            block.parameters,
-            block.object_points,
-        )
+    cameras = block.structure.cameras
+    models = tuple(dict.fromkeys(camera.model for camera in cameras))
+    # the last element of a mixture selects the model
+    kinds = np.array([[models.index(camera.model) for camera in cameras]] if len(models) > 1 else [], float)
+    others = block.interior.elements, block.parameters, block.object_points
+    return Unknowns(
+        _rotations(block.structure.rotation_system, block.exterior.angles),
+        *_long_axis_last(kinds.reshape(-1, len(cameras)), block.exterior.projection_centre, *others),
     )
-    interior = interior.T
-    models = tuple(dict.fromkeys(camera.model for camera in block.structure.cameras))
-    if len(models) > 1:  # the last element of a mixture selects the model
-        kind = np.array([[models.index(camera.model) for camera in block.structure.cameras]], float)
-        interior = (np if is_concrete(interior) else jnp).concatenate([interior, kind])
-    rotation = _rotations(block.structure.rotation_system, angles)
-    return Unknowns(*on_device((rotation, centre.T, interior, parameters, points.T)))
 
 
-def _rotations(
-    system: RotationSystem, angles: Float[Array | np.ndarray, "image 3"]
-) -> Float[Array | np.ndarray, "9 image"]:
+@on_host_or_traced
+def _long_axis_last(xp: Any, kinds: Any, centre: Any, interior: Any, parameters: Any, points: Any) -> tuple:
+    return centre.T, xp.concatenate([interior.T, kinds]), parameters, points.T
+
+
+def _rotations(system: RotationSystem, angles: Float[Array, "image 3"]) -> Float[Array, "9 image"]:
     """Rotation matrices of the images; concrete ones by a compiled program for any number of images."""
     if not is_concrete(angles):
         return jnp.stack(system.rotation_from_angles(*angles.T))
     padded = np.zeros((3, grid_size(len(angles))))
-    padded[:, : len(angles)] = angles.T
+    padded[:, : len(angles)] = np.asarray(angles).T
     with jax.ensure_compile_time_eval():  # also inside jit, where the angles may be constants
-        rotations = np.asarray(_compiled_rotations(system, on_device(padded), optimised=False))
-    return rotations[:, : len(angles)]
+        rotations = np.asarray(_compiled_rotations(system, padded, optimised=False))
+    return on_device(rotations[:, : len(angles)])
 
 
 @Compiled
@@ -184,7 +181,13 @@ def angle_derivatives(
     return small if in_angles is None else jnp.where(in_angles, jnp.eye(3)[:, :, None], small)
 
 
+def known_centres(block: Block) -> Float[np.ndarray, "image 3"] | None:
+    """The projection centres as a hint for the plan of the elimination; None if they are traced."""
+    centres = block.exterior.projection_centre
+    return np.asarray(centres) if is_concrete(centres) else None
+
+
 def without_orientation(block: Block) -> Bool[np.ndarray, " image"]:
     """Mask of the images of a concrete block without a coordinate of the projection centre or without an angle."""
-    exterior = np.c_[on_host(block.exterior.projection_centre), on_host(block.exterior.angles)]
+    exterior = np.c_[np.asarray(block.exterior.projection_centre), np.asarray(block.exterior.angles)]
     return ~np.isfinite(exterior).all(1)

@@ -7,7 +7,6 @@ Kubik 1980). Points that are then far off are left out, and the original block i
 points are named, with the size of their errors.
 """
 
-import equinox as eqx
 import numpy as np
 from jaxtyping import Bool, Float, Int
 
@@ -27,7 +26,7 @@ from jaxbundle.diagnosis.observed_control import (
     tried,
 )
 from jaxbundle.diagnosis.wrong_rays import wrong_rays
-from jaxbundle.numerics.host import on_device, on_host
+from jaxbundle.numerics.host import tree_with
 from jaxbundle.solve.adjustment import Adjustment, Status
 
 ABSURD = 10.0  # sigma0 above which residuals are unusable
@@ -133,7 +132,7 @@ def _far_off(control: ObservedControl) -> Bool[np.ndarray, " member"] | None:
     distance = np.zeros(len(values))
     for _ in range(ROUNDS):
         loose = np.where(observed, np.minimum(sigma * factor, NO_WEIGHT)[:, None], 1.0)
-        block = eqx.tree_at(lambda b: b.groups[control.group].sigmas, block, on_device(loose))
+        block = tree_with(lambda b: b.groups[control.group].sigmas, block, loose)
         found = tried(block, converged=False)
         if found is None:
             return None
@@ -151,7 +150,7 @@ def _distances(
     values: Float[np.ndarray, "member 3"],
     observed: Bool[np.ndarray, "member 3"],
 ) -> Float[np.ndarray, " member"]:
-    return np.linalg.norm(np.where(observed, on_host(block.object_points)[point] - values, 0.0), axis=1)
+    return np.linalg.norm(np.where(observed, np.asarray(block.object_points)[point] - values, 0.0), axis=1)
 
 
 def _held_back(control: ObservedControl, wrong: Bool[np.ndarray, " member"]) -> Block:
@@ -166,7 +165,7 @@ def _held_back(control: ObservedControl, wrong: Bool[np.ndarray, " member"]) -> 
 def _errors(control: ObservedControl, found: Adjustment) -> Float[np.ndarray, "member 3"]:
     """Given - adjusted coordinates, 0 where not given."""
     group = control.block.groups[control.group]
-    error = np.asarray(group.values) - on_host(found.block.object_points)[control.point]
+    error = np.asarray(group.values) - np.asarray(found.block.object_points)[control.point]
     return np.where(group.structure.observed, error, 0.0)
 
 

@@ -8,7 +8,6 @@ coordinates (12 minus the 7 of the similarity).
 import dataclasses
 import itertools
 
-import equinox as eqx
 import jax
 import jax.numpy as jnp
 import numpy as np
@@ -27,7 +26,7 @@ from jaxbundle.diagnosis.observed_control import (
 )
 from jaxbundle.geometry.similarity import similarity
 from jaxbundle.numerics.compilation import Compiled
-from jaxbundle.numerics.host import on_device, on_host
+from jaxbundle.numerics.host import tree_with
 
 ALL_ORDERS = 5  # points: all 120 orders of their names are tried; with more points only those that exchange two names
 MAX_POINTS = 60  # maximum number of points, with 1770 pairs
@@ -49,7 +48,7 @@ def exchanged_control(start: Block) -> tuple[Finding, ...]:
     if shape is None:
         return ()
     orders = _orders(len(control.point))
-    misfit = on_host(_misfits(on_device(shape), on_device(np.asarray(group.values)[orders]), optimised=False))
+    misfit = np.asarray(_misfits(shape, np.asarray(group.values)[orders], optimised=False))
     best = int(np.argmin(misfit))
     others = np.delete(misfit, best)
     if best == 0 or others.min() < CLEARLY * misfit[best]:
@@ -63,7 +62,7 @@ def _shape(control: ObservedControl) -> Float[np.ndarray, "member 3"] | None:
     """Coordinates of the control points from an adjustment without control."""
     groups = tuple(group for k, group in enumerate(control.block.groups) if k != control.group)
     found = tried(with_datum(started_where_rays_meet(dataclasses.replace(control.block, groups=groups))))
-    return None if found is None else on_host(found.block.object_points)[control.point]
+    return None if found is None else np.asarray(found.block.object_points)[control.point]
 
 
 def _orders(count: int) -> Int[np.ndarray, "order member"]:
@@ -93,7 +92,7 @@ def _misfits(shape: Float[Array, "member 3"], values: Float[Array, "order member
 def _with_order(control: ObservedControl, order: Int[np.ndarray, " member"]) -> Block:
     """The block with the coordinates of its control points in another order."""
     values = np.asarray(control.block.groups[control.group].values)[order]
-    block = eqx.tree_at(lambda b: b.groups[control.group].values, control.block, on_device(values))
+    block = tree_with(lambda b: b.groups[control.group].values, control.block, values)
     return started_where_rays_meet(block)
 
 

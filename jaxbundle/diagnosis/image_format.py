@@ -7,18 +7,16 @@ one that puts all rays inside. Approximate orientations detect confusions that t
 coordinates, half resolution).
 """
 
-import dataclasses
 from collections.abc import Callable
 from typing import NamedTuple
 
-import equinox as eqx
 import numpy as np
 from jaxtyping import Bool, Float, Int
 
-from jaxbundle.block.block import Block, InteriorOrientation, Rays
+from jaxbundle.block.block import Block
 from jaxbundle.block.findings import Finding, Kind, Severity, Subject
 from jaxbundle.block.wording import counted, named
-from jaxbundle.numerics.host import on_device
+from jaxbundle.numerics.host import tree_with
 from jaxbundle.orientation.alternatives import explains, left
 from jaxbundle.orientation.sight import sight_of
 
@@ -164,14 +162,14 @@ def _either(rays: tuple, form: tuple) -> tuple:
 def _exchanged_first(block: Block, form: _Format) -> str:
     """Selects the exchange for which the rays agree with the approximate orientations, as the format cannot decide."""
     images = block.structure.image_camera == form.camera
-    exchanged = eqx.tree_at(lambda b: b.rays.coordinates, block, on_device(np.asarray(block.rays.coordinates)[:, ::-1]))
+    exchanged = tree_with(lambda b: b.rays.coordinates, block, np.asarray(block.rays.coordinates)[:, ::-1])
     elements = np.array(block.interior.elements)
     names = block.structure.cameras[form.camera].model.elements
     if "x0" not in names:
         return ""
     x, y = names.index("x0"), names.index("y0")
     elements[form.camera, [x, y]] = elements[form.camera, [y, x]]
-    turned = eqx.tree_at(lambda b: b.interior, block, InteriorOrientation(on_device(elements)))
+    turned = tree_with(lambda b: b.interior.elements, block, elements)
     by_rays, by_format = (np.nanmedian(left(sight_of(b))[images]) for b in (exchanged, turned))
     if by_rays < 0.5 * by_format:
         return "rays"
@@ -191,7 +189,7 @@ def _half_resolution(block: Block, form: _Format, rays: Int[np.ndarray, " ray"],
         return []
     coordinates = np.array(block.rays.coordinates)
     coordinates[small[s.ray_image]] *= 2
-    twice = dataclasses.replace(block, rays=Rays(on_device(coordinates), block.rays.sigmas))
+    twice = tree_with(lambda b: b.rays.coordinates, block, coordinates)
     small &= explains(left(sight_of(twice)), left(sight_of(block)))
     names = [s.image_names[k] for k in np.flatnonzero(small)]
     if not names:

@@ -3,14 +3,13 @@
 import dataclasses
 from typing import NamedTuple
 
-import equinox as eqx
 import numpy as np
 from jaxtyping import Int
 
 from jaxbundle.block.block import Block
 from jaxbundle.block.observation_kinds import CONTROL, observation_group
 from jaxbundle.block.problems import BlockError
-from jaxbundle.numerics.host import on_device
+from jaxbundle.numerics.host import tree_with
 from jaxbundle.orientation.sight import intersected, photo_vectors, sight_of
 from jaxbundle.solve.adjust import adjust
 from jaxbundle.solve.adjustment import Adjustment, Status
@@ -67,7 +66,7 @@ def started_where_rays_meet(block: Block) -> Block:
     meet = intersected(sight)
     far = np.linalg.norm(meet.points - sight.points, axis=1) > FAR * depth(block)
     moved = sight.is_known & meet.in_front & far
-    return eqx.tree_at(lambda b: b.object_points, block, on_device(np.where(moved[:, None], meet.points, sight.points)))
+    return tree_with(lambda b: b.object_points, block, np.where(moved[:, None], meet.points, sight.points))
 
 
 def tried(block: Block, converged: bool = True) -> Adjustment | None:

@@ -7,7 +7,6 @@ left out first, and those that still do not fit afterwards are wrong. If this fa
 contradict all their rays, or whole images.
 """
 
-import equinox as eqx
 import numpy as np
 from jaxtyping import Bool, Float, Int
 
@@ -18,7 +17,7 @@ from jaxbundle.block.residuals import observations_of, ray_residuals
 from jaxbundle.block.unknowns import unknowns_of
 from jaxbundle.block.wording import counted, figure, named
 from jaxbundle.diagnosis.rays_in_words import ray_name, ray_subject
-from jaxbundle.numerics.host import on_device
+from jaxbundle.numerics.host import tree_with
 from jaxbundle.solve.adjustment import DOWN_WEIGHTED, Adjustment, Status
 from jaxbundle.solve.attempt import attempt
 from jaxbundle.solve.weight_functions import Danish
@@ -69,7 +68,7 @@ def _without_far_off(start: Block) -> tuple[Adjustment, Int[np.ndarray, " wrong"
         return None
     loose = sigmas.copy()
     loose[far] *= NO_WEIGHT
-    found = attempt(eqx.tree_at(lambda b: b.rays.sigmas, start, on_device(loose)), max_iterations=ITERATIONS)
+    found = attempt(tree_with(lambda b: b.rays.sigmas, start, loose), max_iterations=ITERATIONS)
     if found is None:
         return None
     return found, _outlying(start, found, far)

@@ -8,7 +8,6 @@ equation. A ray with a refused match is not changed.
 from collections.abc import Mapping
 from typing import NamedTuple
 
-import equinox as eqx
 import jax
 import jax.numpy as jnp
 import numpy as np
@@ -26,7 +25,7 @@ from jaxbundle.imagery.ray_sigmas import ray_sigmas
 from jaxbundle.imagery.window_pairs import HALF, MAX_SHIFT, PairMatches, PairTable, match_pairs
 from jaxbundle.imagery.windows import GreyImages, GreyLevels
 from jaxbundle.numerics.compilation import Compiled
-from jaxbundle.numerics.host import on_device
+from jaxbundle.numerics.host import on_device, tree_with
 from jaxbundle.numerics.shapes import grid_size
 
 TEMPLATE = -1  # status of a ray in the image of the template
@@ -227,5 +226,5 @@ def _refined(
     status = np.full(len(xy), int(Refusal.NO_WINDOW))
     status[ray] = found.status
     status[np.unique(template_ray)] = TEMPLATE
-    new = eqx.tree_at(lambda b: (b.rays.coordinates, b.rays.sigmas), block, (on_device(xy), on_device(sigmas)))
+    new = tree_with(lambda b: (b.rays.coordinates, b.rays.sigmas), block, (xy, sigmas))
     return Refinement(new, status, found, ray)

@@ -2,17 +2,16 @@
 
 from typing import Any, NamedTuple
 
-import equinox as eqx
 import jax
 import jax.numpy as jnp
 import numpy as np
 from jaxtyping import Array, Bool, Float
 
-from jaxbundle.block.block import Block, ExteriorOrientation
+from jaxbundle.block.block import Block
 from jaxbundle.block.unknowns import angles_near
 from jaxbundle.geometry.rotation import RotationSystem, from_rotation_vector
 from jaxbundle.numerics.compilation import Compiled
-from jaxbundle.numerics.host import on_device
+from jaxbundle.numerics.host import on_device, tree_with
 from jaxbundle.orientation.intersection import intersect
 
 
@@ -75,16 +74,10 @@ def with_orientations(
     exterior = np.hstack([block.exterior.projection_centre, block.exterior.angles])
     exterior = np.where(known & s.exterior_free, oriented.exterior, exterior)
     old = np.asarray(block.object_points)
-    changed = eqx.tree_at(
-        lambda b: (b.exterior, b.object_points, b.parameters),
+    changed = tree_with(
+        lambda b: (b.exterior.projection_centre, b.exterior.angles, b.object_points, b.parameters),
         block,
-        (
-            ExteriorOrientation(on_device(exterior[:, :3]), on_device(exterior[:, 3:])),
-            on_device(np.where(s.point_free, points, old)),
-            parameters,
-        ),
+        (exterior[:, :3], exterior[:, 3:], np.where(s.point_free, points, old), parameters),
     )
     intersected = np.asarray(intersect(changed).object_points)
-    return eqx.tree_at(
-        lambda b: b.object_points, changed, on_device(np.where(np.isfinite(intersected), intersected, old))
-    )
+    return tree_with(lambda b: b.object_points, changed, np.where(np.isfinite(intersected), intersected, old))

@@ -11,7 +11,6 @@ minimum of the simultaneous adjustment: single points differ by up to one standa
 import dataclasses
 from typing import NamedTuple
 
-import equinox as eqx
 import numpy as np
 from jaxtyping import Float, Int
 
@@ -29,7 +28,7 @@ from jaxbundle.independent.model_adjustment import Pairs, formed
 from jaxbundle.independent.model_block import seen_points
 from jaxbundle.independent.sensor_block import Seen, SensorBlock, Sensors, sensor_block
 from jaxbundle.independent.started import started
-from jaxbundle.numerics.host import on_device
+from jaxbundle.numerics.host import tree_with
 from jaxbundle.numerics.program_cache import prepare_jax
 from jaxbundle.solve.adjust import adjust
 from jaxbundle.solve.adjustment import Adjustment
@@ -210,6 +209,4 @@ def _with_places(block: Block, of_models: SensorBlock, adjusted: Adjustment) -> 
     places, count = np.asarray(adjusted.block.object_points), len(of_models.points)
     points, centres = np.array(block.object_points), np.array(block.exterior.projection_centre)
     points[of_models.points], centres[of_models.images] = places[:count], places[count:]
-    return eqx.tree_at(
-        lambda b: (b.object_points, b.exterior.projection_centre), block, (on_device(points), on_device(centres))
-    )
+    return tree_with(lambda b: (b.object_points, b.exterior.projection_centre), block, (points, centres))

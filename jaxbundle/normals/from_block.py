@@ -11,17 +11,17 @@ import jax.numpy as jnp
 import numpy as np
 from jaxtyping import Array, Float, Int
 
-from jaxbundle.block.block import Block, Structure
+from jaxbundle.block.block import Block, Rays, Structure
 from jaxbundle.block.residuals import Observations, group_arrays, padded_members
 from jaxbundle.block.unknowns import Unknowns, corrected_in_angles
 from jaxbundle.normals.cholesky import DenseCholesky
 from jaxbundle.normals.panel_cholesky import PanelCholesky
-from jaxbundle.normals.plan.elimination_plan import EliminationPlan, Part
+from jaxbundle.normals.plan.elimination_plan import EliminationPlan, Order, Part
 from jaxbundle.normals.plan.layout import EXTERIOR
 from jaxbundle.normals.plan.reduced_plan import ReducedPlan
 from jaxbundle.normals.problem import BorderRays, NormalVector, OrderedUnknowns, Problem, ReducedSolver, Tiles
 from jaxbundle.numerics.devices import AXIS, dealt
-from jaxbundle.numerics.host import array_module, is_concrete, on_device, on_host
+from jaxbundle.numerics.host import array_module, is_concrete, on_device, on_host, on_host_or_traced
 from jaxbundle.numerics.shapes import grid_size
 
 FEWEST_MEMBERS = 32  # of a padded group: small blocks with equal kinds of observations share a program
@@ -31,10 +31,11 @@ def problem(plan: EliminationPlan, block: Block) -> Problem:
     """The observations of a block in elimination order."""
     pairs = tuple(None if pair is None else _padded_pairs(pair) for pair in plan.group_pairs)
     diagonal_pair, group_pairs = on_device((plan.diagonal_pair, pairs))
+    rays = on_host(block.rays)
     return Problem(
         _observations(plan, block),
-        tuple(_tiles(part, block, plan.devices) for part in plan.parts),
-        _border_rays(plan, block),
+        tuple(_tiles(part, rays, plan.devices) for part in plan.parts),
+        _border_rays(plan, block.structure, rays),
         diagonal_pair,
         group_pairs,
         reduced_solver(plan.reduced),
@@ -45,36 +46,44 @@ def problem(plan: EliminationPlan, block: Block) -> Problem:
 
 def to_elimination_order(plan: EliminationPlan, unknowns: Unknowns) -> OrderedUnknowns:
     """The unknowns of a block in elimination order."""
-    o, tile_points, unknowns = plan.order, plan.tile_points, on_host(unknowns)
+    *images, tiles = _ordered(plan, unknowns)
+    return OrderedUnknowns(Unknowns(*images), dealt(tiles, plan.devices, 1))
+
+
+@on_host_or_traced
+def _ordered(_xp: Any, plan: EliminationPlan, unknowns: Unknowns) -> tuple:
+    o, tile_points = plan.order, plan.tile_points
     points = spread(unknowns.points, o.point, o.points, 0.0)
-    images = (
+    return (
         spread(unknowns.rotation, o.image, o.images, np.eye(3).reshape(9, 1)),
         spread(unknowns.centre, o.image, o.images, 0.0),
         spread(unknowns.interior, o.camera, o.cameras, 1.0),
         spread(unknowns.parameters[None], np.arange(o.parameters), plan.layout.parameters, 0.0)[0],
         points[:, tile_points:],
+        points[:, :tile_points].reshape(3, -1, plan.layout.width),
     )
-    tiles = points[:, :tile_points].reshape(3, -1, plan.layout.width)
-    return OrderedUnknowns(Unknowns(*on_device(images)), dealt(tiles, plan.devices, 1))
 
 
 def to_block_order(plan: EliminationPlan, ordered: OrderedUnknowns) -> Unknowns:
     """The unknowns in the order of the block."""
-    (images, tiles), o = on_host(ordered), plan.order
-    points = array_module((tiles, images.points)).concatenate([tiles.reshape(3, -1), images.points], 1)[:, o.point]
+    return Unknowns(*_of_block(plan.order, *ordered))
+
+
+@on_host_or_traced
+def _of_block(xp: Any, o: Order, images: Unknowns, tiles: Any) -> tuple:
+    points = xp.concatenate([tiles.reshape(3, -1), images.points], 1)[:, o.point]
     elements = images.rotation[:, o.image], images.centre[:, o.image], images.interior[:, o.camera]
-    return Unknowns(*on_device((*elements, images.parameters[: o.parameters], points)))
+    return *elements, images.parameters[: o.parameters], points
 
 
-def rays_to_block_order(plan: EliminationPlan, components: int, values: list[Array]) -> Float[Array, "ray component"]:
+@on_host_or_traced
+def rays_to_block_order(xp: Any, plan: EliminationPlan, components: int, values: list) -> Any:
     """Values of the rays in the order of the block.
 
     Input: one array per component and part for the cells, then one per component for the rays of border points.
     """
-    host = on_host(values)
-    xp = array_module(host)
-    columns = [xp.concatenate([x.ravel() for x in host[k::components]])[plan.cell_of_ray] for k in range(components)]
-    return on_device(xp.stack(columns, 1))
+    columns = [xp.concatenate([x.ravel() for x in values[k::components]])[plan.cell_of_ray] for k in range(components)]
+    return xp.stack(columns, 1)
 
 
 class BlockVectors(NamedTuple):
@@ -176,34 +185,33 @@ def reduced_solver(reduced: ReducedPlan) -> ReducedSolver:
     return ReducedSolver(pair, PanelCholesky(lists, AXIS if reduced.shared_out else None))
 
 
-def _tiles(part: Part, block: Block, devices: int) -> Tiles:
-    """The rays of eliminated points as cells."""
+def _tiles(part: Part, rays: Rays, devices: int) -> Tiles:
+    """The rays of eliminated points as cells; `rays`: numpy arrays or traced."""
     t = part.tiling
-    coordinates, sigmas = on_host((block.rays.coordinates, block.rays.sigmas))
 
     def cells(values: Any) -> Any:
         return array_module(values).stack(
             [_to_cells(values[:, k], t.ray, part.rays) for k in range(values.shape[1])], 2
         )
 
+    values = cells(rays.coordinates), cells(1 / rays.sigmas)
     slot_image, slot_tile, measured, weights, chunks = (
-        dealt(x, devices) for x in (t.slot_image, t.slot_tile, cells(coordinates), cells(1 / sigmas), t.chunks)
+        dealt(x, devices) for x in (t.slot_image, t.slot_tile, *values, t.chunks)
     )
     return Tiles(slot_image, slot_tile, measured, weights, chunks, on_device(part.pairs), t.max_tiles, t.group)
 
 
-def _border_rays(plan: EliminationPlan, block: Block) -> BorderRays:
-    """The rays of border points, padded with rays of weight 0."""
+def _border_rays(plan: EliminationPlan, structure: Structure, rays: Rays) -> BorderRays:
+    """The rays of border points, padded with rays of weight 0; `rays`: numpy arrays or traced."""
     count = len(plan.border_rays)
     size = grid_size(count) if count else 0
     ray = np.zeros(size, int)
     ray[:count] = plan.border_rays
     used = np.arange(size) < count
-    coordinates, sigmas = on_host((block.rays.coordinates, block.rays.sigmas))
-    image = plan.order.image[block.structure.ray_image[ray]]
-    point = np.where(used, plan.order.point[block.structure.ray_point[ray]] - plan.tile_points, 0)
-    weights = used.astype(float)[None] / sigmas[ray].T
-    return BorderRays(*on_device((image.astype(np.int32), point.astype(np.int32), coordinates[ray].T, weights)))
+    image = plan.order.image[structure.ray_image[ray]].astype(np.int32)
+    point = np.where(used, plan.order.point[structure.ray_point[ray]] - plan.tile_points, 0).astype(np.int32)
+    weights = used.astype(float)[None] / rays.sigmas[ray].T
+    return BorderRays(*on_device((image, point, rays.coordinates[ray].T, weights)))
 
 
 def _to_cells(values: Any, cell: Int[np.ndarray, "device chunk slot column"], rays: Int[np.ndarray, " of_part"]) -> Any:

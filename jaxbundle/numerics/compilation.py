@@ -7,11 +7,12 @@ from weakref import WeakSet
 
 import equinox as eqx
 import jax
+import numpy as np
 from jax import Array
 
 from jaxbundle.numerics import programs
 from jaxbundle.numerics.devices import meet
-from jaxbundle.numerics.host import is_concrete
+from jaxbundle.numerics.host import is_concrete, on_device
 
 RAYS_FOR_OPTIMISATION = 10_000  # below this, an adjustment takes less time than optimising its program
 QUICKLY = {"xla_backend_optimization_level": 0, "xla_cpu_use_fusion_emitters": False}
@@ -40,8 +41,9 @@ class Compiled:
             compiled._traced.clear()
 
     def __call__(self, *args: Any, optimised: bool) -> Any:
-        """Calls the compiled function."""
+        """Calls the compiled function; it takes numpy arrays too."""
         leaves, structure = jax.tree.flatten(args)
+        leaves = on_device(leaves, np.ndarray)
         arrays = [leaf for leaf in leaves if eqx.is_array(leaf)]
         static = tuple(None if eqx.is_array(leaf) else leaf for leaf in leaves)
         if not is_concrete(args):

@@ -9,14 +9,13 @@ adjustment converges from them.
 
 from typing import NamedTuple
 
-import equinox as eqx
 import numpy as np
 from jaxtyping import Bool, Float, Int
 
 from jaxbundle.block.block import Block
 from jaxbundle.block.findings import Finding
 from jaxbundle.geometry.rotation import RotationSystem
-from jaxbundle.numerics.host import on_device
+from jaxbundle.numerics.host import tree_with
 from jaxbundle.orientation.alternatives import mirrored
 from jaxbundle.orientation.oriented import Oriented, oriented
 from jaxbundle.orientation.replaced import hopeless_points, replaced_images, replaced_points
@@ -102,10 +101,10 @@ def checked_start(block: Block, sight: Sight) -> CheckedStart:
 def _with_values(block: Block, start: _Start, points: Float[np.ndarray, "point 3"]) -> Block:
     own = np.asarray(block.exterior.angles)
     angles = np.where(start.replaced[:, None], start.angles, own)
-    return eqx.tree_at(
+    return tree_with(
         lambda b: (b.exterior.projection_centre, b.exterior.angles, b.object_points),
         block,
-        (on_device(start.sight.centre), on_device(angles), on_device(points)),
+        (start.sight.centre, angles, points),
     )
 
 

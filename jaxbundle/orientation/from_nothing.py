@@ -8,7 +8,6 @@ least four control points, the images are resected. Otherwise all pairs of image
 
 from typing import NamedTuple
 
-import equinox as eqx
 import numpy as np
 from jaxtyping import Bool, Float, Int
 
@@ -17,7 +16,7 @@ from jaxbundle.block.given import require_a
 from jaxbundle.block.problems import BlockError, Problem
 from jaxbundle.geometry.rotation import apply
 from jaxbundle.geometry.vectors import components
-from jaxbundle.numerics.host import on_device
+from jaxbundle.numerics.host import tree_with
 from jaxbundle.numerics.program_cache import prepare_jax
 from jaxbundle.orientation.anchors import Given, anchors_of, given_of
 from jaxbundle.orientation.approximation import Approximation, Figure, OrientedPart, Step, Way
@@ -285,12 +284,10 @@ def _answer(work: _Work, way: Way, state: State, rest: tuple) -> Approximation:
     held = ~s.exterior_free
     centre = np.where(held[:, :3], np.asarray(block.exterior.projection_centre), state.centre)
     angles = np.where(held[:, 3:], np.asarray(block.exterior.angles), angles)
-    new = eqx.tree_at(
-        lambda b: (b.exterior.projection_centre, b.exterior.angles, b.object_points),
-        block,
-        (on_device(centre), on_device(angles), on_device(points)),
+    start = tree_with(
+        lambda b: (b.exterior.projection_centre, b.exterior.angles, b.object_points), block, (centre, angles, points)
     )
-    new, _ = with_planes_and_lines(new)
+    new, _ = with_planes_and_lines(start)
     members = _parts(work, state, parts)
     loose = tuple(s.image_names[k] for k in np.flatnonzero(~done))
     scale = np.zeros(len(done), bool)

@@ -9,7 +9,6 @@ The point closest to its rays, with equal weights of all rays: with projection c
 
 from typing import Any
 
-import equinox as eqx
 import jax.numpy as jnp
 import numpy as np
 from jaxtyping import Array, Float, Int
@@ -21,7 +20,7 @@ from jaxbundle.camera.direction import direction
 from jaxbundle.camera.model import CameraModel
 from jaxbundle.geometry import rotation
 from jaxbundle.numerics.compilation import Compiled
-from jaxbundle.numerics.host import array_module, is_concrete, on_device, on_host
+from jaxbundle.numerics.host import array_module, is_concrete, on_device, on_host, tree_with
 from jaxbundle.numerics.shapes import padded
 
 PARALLEL = 1e-12  # squared sine of the angle between two rays: below this the intersection is determined by rounding
@@ -48,7 +47,7 @@ def intersect(block: Block) -> Block:
     directions = _directions(block, rays, image)
     centres = on_host(block.exterior.projection_centre).T[:, image]
     closest = closest_to_rays(directions, centres, ray_point[rays], len(points))
-    return eqx.tree_at(lambda b: b.object_points, block, on_device(xp.where(missing, closest.T, points)))
+    return tree_with(lambda b: b.object_points, block, xp.where(missing, closest.T, points))
 
 
 def _directions(

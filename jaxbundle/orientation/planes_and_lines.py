@@ -11,14 +11,13 @@ first one is the projection of the coordinate axis that is farthest from the thi
 
 from collections.abc import Iterator
 
-import equinox as eqx
 import numpy as np
 from jaxtyping import Float, Int
 
 from jaxbundle.block.block import Block
 from jaxbundle.block.geodetic import LINES, PLANES, geodetic_kind
 from jaxbundle.block.problems import Problem
-from jaxbundle.numerics.host import on_device
+from jaxbundle.numerics.host import tree_with
 
 DEGENERATE = 1e-6  # ratio of the extents across and along: points on a line, or at one position
 SENSE = 1e-6  # components of unit vectors that differ by less are equal; far above rounding
@@ -47,10 +46,9 @@ def with_planes_and_lines(block: Block) -> tuple[Block, list[Problem]]:
                 if frame is None and np.isfinite(points).all():
                     problems.append(_no_figure(block, kind == PLANES, int(members[0]), indices[members[0]]))
     groups = tuple(
-        eqx.tree_at(lambda g: g.constants, group, on_device(frames))
-        for group, frames in zip(block.groups, constants, strict=True)
+        tree_with(lambda g: g.constants, group, frames) for group, frames in zip(block.groups, constants, strict=True)
     )
-    return eqx.tree_at(lambda b: (b.parameters, b.groups), block, (on_device(values), groups)), problems
+    return tree_with(lambda b: (b.parameters, b.groups), block, (values, groups)), problems
 
 
 def _azimuths(block: Block, touches: tuple[str, ...], indices: Int[np.ndarray, "row 3"]) -> Float[np.ndarray, " row"]:

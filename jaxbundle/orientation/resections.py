@@ -18,7 +18,7 @@ from jaxtyping import Array, ArrayLike, Bool, Float, Int, Real
 from jaxbundle.camera.model import CameraModel
 from jaxbundle.geometry.rotation import OMEGA_PHI_KAPPA, RotationSystem
 from jaxbundle.numerics.compilation import Compiled
-from jaxbundle.numerics.host import is_concrete, on_device
+from jaxbundle.numerics.host import is_concrete, on_device, tree_with
 from jaxbundle.numerics.nested import Nested
 from jaxbundle.numerics.program_cache import prepare_jax
 from jaxbundle.numerics.shapes import padded
@@ -125,7 +125,7 @@ def _concrete(
     points, coordinates, sigmas = (padded(np.asarray(x).T).T for x in of_points)
     sigmas = np.where(np.arange(len(sigmas))[:, None] < count, sigmas, np.inf)
     found = _program(model, system, most, interior, *on_device((points, coordinates, sigmas)), start, optimised=False)
-    return eqx.tree_at(lambda r: r.residuals, found, on_device(np.asarray(found.residuals)[:count]))
+    return tree_with(lambda r: r.residuals, found, np.asarray(found.residuals)[:count])
 
 
 def _require(model: CameraModel, interior: Any, points: Any, coordinates: Any, start: Any) -> None:

@@ -11,7 +11,6 @@ import dataclasses
 
 import equinox as eqx
 import jax.numpy as jnp
-import numpy as np
 from jaxtyping import Array, Float
 
 from jaxbundle.block.block import Block
@@ -19,7 +18,7 @@ from jaxbundle.block.consistency import require_consistent
 from jaxbundle.block.datum import with_datum
 from jaxbundle.block.findings import Finding
 from jaxbundle.block.given import require_a
-from jaxbundle.block.unknowns import unknowns_of
+from jaxbundle.block.unknowns import known_centres, unknowns_of
 from jaxbundle.block.validate import require_valid
 from jaxbundle.normals.from_block import problem, to_elimination_order
 from jaxbundle.normals.plan.known_plans import planned
@@ -107,19 +106,20 @@ def predict(block: Block) -> Prediction:
     require_a(Block, block, "planning.predict")
     options = Options()  # raises an error without float64
     require_consistent(constant(block))
-    if block.concrete:
+    differentiable = not block.concrete
+    if not differentiable:
         block = with_exact_observations(block)
         require_valid(block)
     values = with_datum(constant(block))
     block = dataclasses.replace(block, structure=values.structure)
-    if not block.concrete:
+    if differentiable:
         if block.structure.datum.kind == "inner":
             raise ValueError("a free network cannot be predicted inside jit, grad and vmap; use a minimal datum there")
         block = with_exact_observations(block)
     origin = on_host(constant(block).exterior.projection_centre).mean(0)
     centred = block.moved(-origin)
-    centres = np.asarray(values.exterior.projection_centre) if values.concrete else None
-    devices = devices_of(values, None) if values.concrete else 1
+    centres = known_centres(values)
+    devices = 1 if centres is None else devices_of(values, None)
     plan = planned(block.structure, block.groups, centres, devices)
     given, arranged = problem(plan, centred), to_elimination_order(plan, unknowns_of(centred))
     if block.structure.datum.kind == "inner":
@@ -129,7 +129,7 @@ def predict(block: Block) -> Prediction:
     iterations = Iterations(
         on_device(int(Status.CONVERGED)), on_device(0), on_device(0), zero, zero, zero, zero, empty_history(0)
     )
-    ended = Ended(iterations, origin, options, precision=True, inspected=block.concrete, optimised=optimised)
+    ended = Ended(iterations, origin, options, True, True, differentiable, optimised)
     return Prediction(adjustment(block, plan, given, arranged, ended))
 
 

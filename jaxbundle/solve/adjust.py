@@ -19,7 +19,7 @@ from jaxbundle.block.datum import with_datum
 from jaxbundle.block.datum_precision import weak_datum
 from jaxbundle.block.given import require_a
 from jaxbundle.block.residuals import observations_of
-from jaxbundle.block.unknowns import unknowns_of
+from jaxbundle.block.unknowns import known_centres, unknowns_of
 from jaxbundle.block.validate import require_valid
 from jaxbundle.normals.from_block import problem, to_block_order, to_elimination_order
 from jaxbundle.normals.plan.elimination_plan import EliminationPlan
@@ -155,15 +155,15 @@ class _Watch(NamedTuple):
 
 def _least_squares(block: Block, options: Options, watch: _Watch, inspected: bool = True) -> Adjustment:
     """One adjustment; with `inspected` false its answer is not checked, for internal results."""
-    if block.structure.datum.kind == "inner" and not block.concrete:
+    differentiable = not block.concrete
+    if block.structure.datum.kind == "inner" and differentiable:
         raise ValueError("a free network cannot be adjusted inside jit, grad and vmap; use a minimal datum there")
     values = with_datum(constant(block))
-    block = values if block.concrete else dataclasses.replace(block, structure=values.structure)
+    block = dataclasses.replace(block, structure=values.structure) if differentiable else values
     origin = on_host(values.exterior.projection_centre).mean(0)
     centred = values.moved(-origin)
     optimised = len(block.structure.ray_image) >= RAYS_FOR_OPTIMISATION
-    centres = np.asarray(values.exterior.projection_centre) if values.concrete else None
-    devices, precision = devices_of(values, options.devices), options.precision
+    centres, devices, precision = known_centres(values), devices_of(values, options.devices), options.precision
     watch.begins("planning")
     plan = planned(block.structure, block.groups, centres, devices, options.reduced, direct=precision)
     rule = options.stop.of(centred)
@@ -171,7 +171,7 @@ def _least_squares(block: Block, options: Options, watch: _Watch, inspected: boo
     watch.begins("compiling")
     arranged, iterations = _solved(run, rule)
     given = run.args.problem
-    if block.concrete:  # an interruption returns immediately
+    if not differentiable:  # an interruption returns immediately
         precision = precision and int(iterations.status) != Status.INTERRUPTED
     else:
         centred = block.moved(-origin)
@@ -183,7 +183,7 @@ def _least_squares(block: Block, options: Options, watch: _Watch, inspected: boo
         block = dataclasses.replace(block, structure=freed(block.structure))
     if precision:
         watch.begins("standard deviations")
-    ended = Ended(iterations, origin, options, precision, inspected and block.concrete, optimised)
+    ended = Ended(iterations, origin, options, precision, inspected, differentiable, optimised)
     return adjustment(block, plan, given, arranged, ended)
 
 
@@ -210,15 +210,15 @@ def devices_of(block: Block, wanted: int | None) -> int:
 
     Raises: ValueError for a number of devices that does not exist, or that would leave a process without work.
     """
-    there, processes = jax.device_count(), jax.process_count()
+    there, processes, concrete = jax.device_count(), jax.process_count(), block.concrete
     if wanted is None:
-        useful = len(block.structure.ray_image) >= RAYS_FOR_DEVICES and (processes == 1 or block.concrete)
+        useful = len(block.structure.ray_image) >= RAYS_FOR_DEVICES and (processes == 1 or concrete)
         return there if useful else 1
     if not 1 <= wanted <= there:
         raise ValueError(f"devices={wanted}, but JAX has {there}; give 1 to {there}, or set jax_num_cpu_devices before")
     if processes > 1 and wanted not in (1, there):
         raise ValueError(f"devices={wanted} leave some of {processes} processes idle; give {there} (all) or 1")
-    if processes > 1 and wanted > 1 and not block.concrete:
+    if processes > 1 and wanted > 1 and not concrete:
         raise ValueError(f"under jit, grad and vmap each of {processes} processes computes alone; give devices=1")
     return wanted
 

@@ -14,7 +14,7 @@ from jaxbundle.block.named import CameraValues, ImageValues, Named, PointValues
 from jaxbundle.block.notebook import result_html
 from jaxbundle.block.wording import counted
 from jaxbundle.normals.pcg import TOLERANCE
-from jaxbundle.numerics.host import array_module, is_concrete, on_device, on_host
+from jaxbundle.numerics.host import is_concrete, on_host_or_traced
 from jaxbundle.numerics.offered import offered
 from jaxbundle.solve.history import History
 from jaxbundle.solve.options import Options
@@ -66,18 +66,12 @@ class BlockCofactors(NamedTuple):
 
     def standard_deviations(self, sigma0: Any) -> StandardDeviations:
         """Standard deviations of all unknowns, for a given standard deviation of unit weight."""
-        blocks = self.exterior, self.interior, self.object_points, self.parameters
-        exterior, interior, points, parameters = (on_host(sigma0) * _roots(c) for c in blocks)
-        parts = exterior[:, :3], exterior[:, 3:], interior, points, parameters
-        return StandardDeviations(*on_device(parts))
+        return StandardDeviations(*_standard_deviations(sigma0, [_roots(cofactors) for cofactors in self]))
 
     @property
     def interior_correlations(self) -> Float[Array, "camera element element"]:
         """Correlations of the interior elements of each camera; 0 for fixed elements."""
-        q, xp = on_host(self.interior), array_module(self.interior)
-        root = _roots(q)
-        product = root[:, :, None] * root[:, None, :]
-        return on_device(xp.where(product > 0, q / xp.where(product > 0, product, 1.0), 0.0))
+        return _correlations(self.interior, _roots(self.interior))
 
 
 class Reweighting(eqx.Module):
@@ -184,13 +178,12 @@ class Adjustment(eqx.Module):
     @property
     def vtpv(self) -> Float[Array, ""]:
         """The weighted sum of squares The weighted sum of squares v^T P v of all observations."""
-        squares = [array_module(v).sum(on_host(v) ** 2) for v in self.weighted_residuals]
-        return on_device(sum(squares, 0.0))
+        return _sum_of_squares(self.weighted_residuals)
 
     @property
     def sigma0(self) -> Float[Array, ""]:
         """A-posteriori standard deviation of unit weight, sqrt(v^T P v / (M - N))."""
-        return on_device((on_host(self.vtpv) / self.redundancy) ** 0.5)
+        return _unit_weight(self.vtpv, self.redundancy)
 
     @property
     def status(self) -> Status:
@@ -313,8 +306,8 @@ class Adjustment(eqx.Module):
     @property
     def check_differences(self) -> Float[Array, "check 3"]:
         """Adjusted - known coordinates of the check points; NaN where a coordinate is unknown."""
-        adjusted = on_host(self.block.object_points)[self.block.structure.check_point]
-        return on_device(adjusted - on_host(self.block.check_points.coordinates))
+        adjusted, known = self.block.object_points, self.block.check_points.coordinates
+        return _differences(adjusted, self.block.structure.check_point, known)
 
     def _reweighted(self) -> str:
         robust = self.reweighting
@@ -354,8 +347,35 @@ class Adjustment(eqx.Module):
         return "\n".join(lines)
 
 
-def _roots(cofactors: Array | np.ndarray) -> Any:
-    """Roots of the diagonals, in numpy for concrete ones; the root of 0, for fixed elements, has the derivative 0."""
-    xp = array_module(cofactors)
-    diagonal = xp.diagonal(on_host(cofactors), axis1=-2, axis2=-1)
+@on_host_or_traced
+def _sum_of_squares(xp: Any, values: tuple) -> Any:
+    return sum((xp.sum(v**2) for v in values), 0.0)
+
+
+@on_host_or_traced
+def _unit_weight(_xp: Any, vtpv: Any, redundancy: int) -> Any:
+    return (vtpv / redundancy) ** 0.5
+
+
+@on_host_or_traced
+def _differences(_xp: Any, values: Any, which: np.ndarray, known: Any) -> Any:
+    return values[which] - known
+
+
+@on_host_or_traced
+def _standard_deviations(_xp: Any, sigma0: Any, roots: list) -> tuple:
+    exterior, *others = (sigma0 * root for root in roots)
+    return exterior[:, :3], exterior[:, 3:], *others
+
+
+@on_host_or_traced
+def _correlations(xp: Any, cofactors: Any, roots: Any) -> Any:
+    products = roots[:, :, None] * roots[:, None, :]
+    return xp.where(products > 0, cofactors / xp.where(products > 0, products, 1.0), 0.0)
+
+
+@on_host_or_traced
+def _roots(xp: Any, cofactors: Any) -> Any:
+    """Roots of the diagonals; the root of 0, for fixed elements, has the derivative 0."""
+    diagonal = xp.diagonal(cofactors, axis1=-2, axis2=-1)
     return xp.where(diagonal == 0, 0.0, xp.sqrt(xp.where(diagonal == 0, 1.0, diagonal)))

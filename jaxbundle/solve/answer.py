@@ -4,16 +4,16 @@ Compiled programs compute in the padded elimination order, so one program is val
 the order of the block.
 """
 
-from typing import NamedTuple
+from typing import Any, NamedTuple
 
 import equinox as eqx
 import jax.numpy as jnp
 import numpy as np
 from jaxtyping import Array, Float
 
-from jaxbundle.block.block import Block
+from jaxbundle.block.block import Block, Structure
 from jaxbundle.block.datum_precision import weak_datum
-from jaxbundle.block.unknowns import angle_derivatives, angles_near
+from jaxbundle.block.unknowns import Unknowns, angle_derivatives, angles_near
 from jaxbundle.normals.cofactors import Cofactors, cofactors
 from jaxbundle.normals.cost import ray_arrays, rounding_noise, weighted_residuals
 from jaxbundle.normals.from_block import rays_to_block_order, spread, to_block_order
@@ -22,7 +22,7 @@ from jaxbundle.normals.plan.elimination_plan import EliminationPlan
 from jaxbundle.normals.plan.layout import EXTERIOR
 from jaxbundle.normals.problem import OrderedUnknowns, Problem
 from jaxbundle.numerics.compilation import Compiled
-from jaxbundle.numerics.host import array_module, constant, on_device, on_host
+from jaxbundle.numerics.host import constant, on_device, on_host, on_host_or_traced, product, selected
 from jaxbundle.solve.adjustment import Adjustment, BlockCofactors, Iterations, Status
 from jaxbundle.solve.free_network import InnerCofactors, inner_cofactors_of
 from jaxbundle.solve.implicit_precision import with_derivatives
@@ -47,8 +47,8 @@ class Answer(NamedTuple):
 class Ended(NamedTuple):
     """The end of a solve and the requested values.
 
-    `inspected`: whether convergence and undetermined unknowns are checked without standard
-    deviations.
+    `inspected`: whether convergence and undetermined unknowns are checked without standard deviations.
+    `differentiable`: whether values are traced by jit, grad or vmap; then nothing is checked.
     """
 
     iterations: Iterations
@@ -56,6 +56,7 @@ class Ended(NamedTuple):
     options: Options
     precision: bool
     inspected: bool
+    differentiable: bool
     optimised: bool
 
 
@@ -87,11 +88,12 @@ def adjustment(
     """Makes the adjustment of a block. `problem` and `arranged` have the origin `ended.origin`."""
     optimised, iterations = ended.optimised, ended.iterations
     reference = spread(on_host(block.exterior.angles).T, plan.order.image, plan.order.images, 0.0)
-    answer = _answer(arranged, problem, on_device(reference), ended.precision, ended.inspected, optimised=optimised)
+    inspected = ended.inspected and not ended.differentiable
+    answer = _answer(arranged, problem, reference, ended.precision, inspected, optimised=optimised)
     weighted = _tables(block, plan, problem, answer.residuals)
     blocks, redundancy_numbers = None, None
     if answer.cofactors is not None:
-        if not block.concrete:
+        if ended.differentiable:
             q = with_derivatives(answer.cofactors, arranged, problem, plan, block.structure, optimised)
             answer = answer._replace(cofactors=q)
         inner = None
@@ -101,8 +103,8 @@ def adjustment(
         redundancy_numbers = _redundancy_numbers(block, _tables(block, plan, problem, answer.cofactors.leverages))
     adjusted = _adjusted(block, plan, arranged, answer.angles, ended.origin)
     loose, weak = Undetermined(), ()
-    if block.concrete and answer.inspection is not None:
-        iterations = certified(iterations, answer.inspection, float(answer.noise))
+    if answer.inspection is not None and not ended.differentiable:
+        iterations = certified(iterations, answer.inspection, answer.noise)
         converged = int(iterations.status) == Status.CONVERGED
         end = End(adjusted, plan, problem, arranged, np.asarray(ended.origin))
         loose = undetermined(end, answer.inspection, converged)
@@ -126,12 +128,12 @@ def adjustment(
     )
 
 
-def certified(iterations: Iterations, found: Inspection, noise: float) -> Iterations:
+def certified(iterations: Iterations, found: Inspection, noise: Float[Array, ""]) -> Iterations:
     """The iterations, with the status "stalled" if they converged but the gradient does not vanish."""
     if int(iterations.status) != Status.CONVERGED:
         return iterations
     tolerance = max(FLAT, float(iterations.step))
-    if bool(is_flat(found.steepness, iterations.final_cost, on_device(noise), tolerance)):
+    if bool(is_flat(found.steepness, iterations.final_cost, noise, tolerance)):
         return iterations
     return iterations._replace(status=on_device(int(Status.STALLED)))
 
@@ -140,22 +142,30 @@ def _tables(block: Block, plan: EliminationPlan, problem: Problem, parts: list[A
     """Values of the observations, as one table for the rays and for each group; 0 where not observed."""
     of_rays = ray_arrays(problem)
     rays = rays_to_block_order(plan, problem.observations.model.components, parts[:of_rays])
-    groups = zip(block.groups, on_host(parts[of_rays:]), strict=True)
-    return rays, *on_device([v.T[: len(group.structure.indices)] for group, v in groups])
+    return rays, *_members(parts[of_rays:], [len(group.structure.indices) for group in block.groups])
+
+
+@on_host_or_traced
+def _members(_xp: Any, values: list, counts: list[int]) -> list:
+    """Values of the members of each group, without its padding."""
+    return [v.T[:count] for v, count in zip(values, counts, strict=True)]
 
 
 def _unweighted(block: Block, weighted: tuple[Array, ...]) -> tuple[Array, ...]:
     """Residuals in the units of their observations."""
-    xp = array_module((weighted[0], block.rays.sigmas))
-    rays = on_device(xp.multiply(weighted[0], block.rays.sigmas))
-    return rays, *(group.unweighted(v) for group, v in zip(block.groups, weighted[1:], strict=True))
+    groups = zip(block.groups, weighted[1:], strict=True)
+    return product(weighted[0], block.rays.sigmas), *(group.unweighted(v) for group, v in groups)
 
 
 def _redundancy_numbers(block: Block, leverages: tuple[Array, ...]) -> tuple[Array, ...]:
-    """Redundancy numbers r = 1 - h; 0 where not observed."""
     observed = np.ones(leverages[0].shape, bool), *(group.structure.observed for group in block.groups)
-    xp = array_module(leverages)
-    return on_device(tuple(xp.where(o, xp.subtract(1, h), 0.0) for h, o in zip(leverages, observed, strict=True)))
+    return tuple(_redundant(o, h) for o, h in zip(observed, leverages, strict=True))
+
+
+@on_host_or_traced
+def _redundant(xp: Any, observed: Any, leverages: Any) -> Any:
+    """Redundancy numbers r = 1 - h; 0 where not observed."""
+    return xp.where(observed, xp.subtract(1, leverages), 0.0)
 
 
 def _adjusted(
@@ -171,33 +181,45 @@ def _adjusted(
         exterior = b.exterior.projection_centre, b.exterior.angles
         return b.object_points, *exterior, b.interior.elements, b.parameters
 
-    def chosen(free: np.ndarray, new: Array | np.ndarray, old: Array | np.ndarray) -> Array | np.ndarray:
-        return array_module((new, old)).where(free, new, old)
+    new = to_block_order(plan, arranged), selected(angles.T, plan.order.image)
+    return eqx.tree_at(values, block, _new_values(block.structure, values(block), *new, origin))
 
-    structure, elements = block.structure, block.interior.elements.shape[1]
-    new, angles, shift, old = on_host((to_block_order(plan, arranged), angles, origin, values(block)[:3]))
+
+@on_host_or_traced
+def _new_values(xp: Any, structure: Structure, old: tuple, new: Unknowns, angles: Any, origin: Any) -> tuple:
+    points, centre, old_angles, interior, _ = old
     free = structure.exterior_free
-    adjusted = (
-        chosen(structure.point_free, new.points.T + shift[None], old[0]),
-        chosen(free[:, :3], new.centre.T + shift[None], old[1]),
-        chosen(free[:, 3:], angles.T[plan.order.image], old[2]),
-        new.interior[:elements].T,
+    return (
+        xp.where(structure.point_free, new.points.T + origin[None], points),
+        xp.where(free[:, :3], new.centre.T + origin[None], centre),
+        xp.where(free[:, 3:], angles, old_angles),
+        new.interior[: interior.shape[1]].T,
         new.parameters,
     )
-    return eqx.tree_at(values, block, on_device(adjusted))
 
 
 def _cofactors(block: Block, plan: EliminationPlan, answer: Answer, inner: InnerCofactors | None) -> BlockCofactors:
     """Cofactors in the order of the block; `inner`: cofactors of a free network instead of its minimal datum."""
-    structure, layout, q = block.structure, plan.layout, answer.cofactors
-    assert q is not None
-    q, inner, to_user = on_host((q, inner, answer.to_user))
+    size = len(block.structure.cameras), block.interior.elements.shape[1], block.structure.interior_columns
+    return BlockCofactors(*_blocks(plan, size, answer.cofactors, inner, answer.to_user))
+
+
+@on_host_or_traced
+def _blocks(
+    xp: Any,
+    plan: EliminationPlan,
+    size: tuple[int, int, tuple[int, ...]],
+    q: Cofactors,
+    inner: InnerCofactors | None,
+    to_user: Any,
+) -> tuple:
+    """`size`: numbers of cameras and of their elements, and the columns of the free elements."""
+    layout, (cameras, elements, interior_columns) = plan.layout, size
     small = (inner.images if inner else q.images[:, :EXTERIOR, :EXTERIOR])[plan.order.image]
     to_user = to_user[plan.order.image]
     exterior = to_user @ small @ to_user.transpose(0, 2, 1)
 
-    elements, columns = block.interior.elements.shape[1], np.array(structure.interior_columns, int)
-    cameras, count = len(structure.cameras), len(columns)
+    columns, count = np.array(interior_columns, int), len(interior_columns)
     border = q.border
     if layout.own_cameras:
         own = q.images[plan.order.camera][:, EXTERIOR:, EXTERIOR:]
@@ -215,5 +237,5 @@ def _cofactors(block: Block, plan: EliminationPlan, answer: Answer, inner: Inner
     if inner:
         of_border, eliminated = inner.border_points, inner.points
     eliminated = eliminated.transpose(2, 3, 0, 1).reshape(-1, 3, 3)
-    points = array_module((eliminated, of_border)).concatenate([eliminated, of_border])[plan.order.point]
-    return BlockCofactors(*on_device((exterior, interior, points, border[inside, inside])))
+    points = xp.concatenate([eliminated, of_border])[plan.order.point]
+    return exterior, interior, points, border[inside, inside]

@@ -34,7 +34,7 @@ from jaxbundle.normals.plan.layout import EXTERIOR
 from jaxbundle.normals.problem import NormalVector, OrderedUnknowns, Problem
 from jaxbundle.normals.solve_normals import solve_normals
 from jaxbundle.numerics.compilation import Compiled
-from jaxbundle.numerics.host import is_concrete, on_device
+from jaxbundle.numerics.host import is_concrete
 
 SIMILARITY = 7
 
@@ -200,11 +200,11 @@ def with_inner_constraints(
     return jax.tree.map(lambda f, b: f - jnp.einsum("fk,k...->f...", whole @ m, b), rows, chosen)
 
 
-def carrying_places(structure: Structure, plan: EliminationPlan) -> Float[Array, " place"]:
+def carrying_places(structure: Structure, plan: EliminationPlan) -> Float[np.ndarray, " place"]:
     """Vector with 1 for the points of the constraints, points of the tiles first, then border points."""
     places = np.zeros(plan.order.points)
     places[plan.order.point[carrying(structure)]] = 1.0
-    return on_device(places)
+    return places
 
 
 def inner_cofactors_of(

@@ -19,7 +19,7 @@ from scipy.special import gammaincinv
 
 from jaxbundle.block.block import Block
 from jaxbundle.block.findings import Finding, Kind, Subject
-from jaxbundle.numerics.host import on_device
+from jaxbundle.numerics.host import on_device, tree_with
 from jaxbundle.solve.adjustment import Adjustment, Reweighting, Status
 from jaxbundle.solve.weight_functions import AbstractWeightFunction, Huber, with_weights
 
@@ -98,7 +98,7 @@ def _rounds(block: Block, function: AbstractWeightFunction, solve: Solve) -> _En
 
 
 def _interrupted(adjustment: Adjustment) -> Adjustment:
-    return eqx.tree_at(lambda a: a.iterations.status, adjustment, on_device(int(Status.INTERRUPTED)))
+    return tree_with(lambda a: a.iterations.status, adjustment, int(Status.INTERRUPTED))
 
 
 def _given_up(end: _End) -> Finding:

@@ -18,7 +18,7 @@ import numpy as np
 from jaxtyping import Array, Float
 
 from jaxbundle.block.block import Block
-from jaxbundle.numerics.host import on_device
+from jaxbundle.numerics.host import tree_with
 
 MIN_WEIGHT = 1e-12  # weight of a down-weighted ray instead of 0: its sigma is then finite
 
@@ -102,4 +102,4 @@ WEIGHT_FUNCTIONS = {function.name: function for function in (Huber, Cauchy, Tuke
 def with_weights(block: Block, sigmas: Float[np.ndarray, "ray 2"], weights: Float[np.ndarray, " ray"]) -> Block:
     """The block in which the sigmas of the rays are `sigmas` divided by the roots of the weights."""
     factor = np.sqrt(np.maximum(weights, MIN_WEIGHT))[:, None]
-    return eqx.tree_at(lambda b: b.rays.sigmas, block, on_device(sigmas / factor))
+    return tree_with(lambda b: b.rays.sigmas, block, sigmas / factor)

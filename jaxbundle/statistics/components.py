@@ -18,12 +18,11 @@ from collections.abc import Sequence
 from dataclasses import dataclass
 from typing import Literal, NamedTuple, Unpack
 
-import equinox as eqx
 import numpy as np
 from jaxtyping import Bool, Float
 
 from jaxbundle.block.block import Block
-from jaxbundle.block.changes import with_sigmas_multiplied
+from jaxbundle.block.changes import with_sigmas_multiplied, with_unknowns_of
 from jaxbundle.block.datum import with_datum
 from jaxbundle.block.given import require_a
 from jaxbundle.block.validate import require_valid
@@ -175,7 +174,7 @@ def variance_components(
         adjustment = adjust(with_components(block, groups, guard.components), quick)
         if adjustment.status is not Status.CONVERGED:
             raise ValueError(f"variance component estimation failed: adjustment {rounds} {adjustment.status.words}")
-        block = _moved_on(block, adjustment)
+        block = with_unknowns_of(block, adjustment.block)
         converged = guard.followed(_Step.of(adjustment, groups, form), tolerance)
     last = adjust(with_components(block, groups, guard.components), fully)
     deviations, bounds = _deviations(last, groups, guard.free)
@@ -286,16 +285,6 @@ def _with_rest(block: Block, asked: tuple[Subset, ...]) -> tuple[Subset, ...]:
     everything = all_observations(block)
     rest = Subset("other observations", tuple(m & ~t for m, t in zip(everything.masks, taken, strict=True)))
     return (*asked, rest) if rest.count else asked
-
-
-def _moved_on(block: Block, adjustment: Adjustment) -> Block:
-    """The block with its a-priori sigmas at the adjusted unknowns."""
-    new = adjustment.block
-    return eqx.tree_at(
-        lambda b: (b.exterior, b.interior, b.parameters, b.object_points),
-        block,
-        (new.exterior, new.interior, new.parameters, new.object_points),
-    )
 
 
 def _sums(groups: Sequence[Subset], tables: Sequence[np.ndarray]) -> Groups:

@@ -25,7 +25,6 @@ from jaxbundle.normals.plan.known_plans import planned
 from jaxbundle.normals.problem import NormalVector, OrderedUnknowns, Problem
 from jaxbundle.normals.solve_normals import inverse_products
 from jaxbundle.numerics.compilation import RAYS_FOR_OPTIMISATION, Compiled
-from jaxbundle.numerics.host import on_device
 from jaxbundle.numerics.shapes import grid_size
 from jaxbundle.numerics.trial import first_line
 from jaxbundle.solve.adjustment import Adjustment
@@ -78,7 +77,7 @@ def covariance_of(adjustment: Adjustment, function: Callable[[Block], Array]) ->
     values, derivatives = _linearised(adjusted, function)
     block = with_datum(adjusted)
     centres = np.asarray(block.exterior.projection_centre)
-    centred = block.moved(on_device(-centres.mean(0)))
+    centred = block.moved(-centres.mean(0))
     plan = planned(block.structure, block.groups, centres, 1)
     args = to_elimination_order(plan, unknowns_of(centred)), problem(plan, centred)
     rows = _arranged_rows(plan, block, derivatives)
@@ -168,7 +167,7 @@ def _arranged_rows(plan: EliminationPlan, block: Block, derivatives: _Rows) -> N
         derivatives.parameters,
         derivatives.points,
     )
-    return on_device(ordered_vectors(plan, structure, rows))
+    return ordered_vectors(plan, structure, rows)
 
 
 def _angles_by_corrections(block: Block) -> Float[np.ndarray, "3 3 image"]:
@@ -178,7 +177,7 @@ def _angles_by_corrections(block: Block) -> Float[np.ndarray, "3 3 image"]:
     matrix = np.repeat(np.eye(3).reshape(9, 1), grid_size(images), 1)
     reference = np.zeros((3, matrix.shape[1]))
     matrix[:, :images], reference[:, :images] = unknowns_of(block).rotation, angles
-    turned = _compiled_angle_derivatives(*on_device((matrix, reference)), system, optimised=False)
+    turned = _compiled_angle_derivatives(matrix, reference, system, optimised=False)
     return np.asarray(turned)[..., :images]
 
 

@@ -18,7 +18,6 @@ from jaxbundle.block.residuals import Observations, observations_of
 from jaxbundle.block.unknowns import Unknowns, angle_derivatives, unknowns_of
 from jaxbundle.normals.cholesky import inverse_factor
 from jaxbundle.numerics.compilation import Compiled
-from jaxbundle.numerics.host import on_device
 from jaxbundle.solve.adjustment import Adjustment
 from jaxbundle.statistics.subsets import Subset
 
@@ -107,7 +106,7 @@ def block_system(block: Block) -> DenseSystem:
     orthogonal, inverse, pivots, turned = _factors(
         unknowns_of(centred),
         observations,
-        on_device(free.chunks.astype(np.int32)),
+        free.chunks.astype(np.int32),
         block.exterior.angles,
         optimised=free.number >= UNKNOWNS_FOR_OPTIMISATION,
     )

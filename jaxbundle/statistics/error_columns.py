@@ -35,7 +35,7 @@ from jaxbundle.normals.plan.known_plans import planned
 from jaxbundle.normals.problem import NormalVector, OrderedUnknowns, Problem
 from jaxbundle.normals.solve_normals import inverse_products
 from jaxbundle.numerics.compilation import RAYS_FOR_OPTIMISATION, Compiled
-from jaxbundle.numerics.host import on_device
+from jaxbundle.numerics.host import tree_with
 from jaxbundle.numerics.shapes import grid_size
 
 MAX_DENSE = 1500  # unknowns: up to this number the full design matrix is faster than a solution for each column
@@ -78,7 +78,7 @@ def error_tests(block: Block, residuals: Sequence[np.ndarray], columns: Sequence
     """
     block = with_datum(block)
     centres = np.asarray(block.exterior.projection_centre)
-    centred = block.moved(on_device(-centres.mean(0)))
+    centred = block.moved(-centres.mean(0))
     unknowns, observations = unknowns_of(centred), observations_of(centred)
     c = _weighted_columns(block, columns, unknowns, observations)
     v = np.concatenate([np.asarray(table).ravel() for table in residuals])
@@ -97,7 +97,7 @@ def _explained_densely(
 ) -> tuple[Float[np.ndarray, "column column"], Float[np.ndarray, " column"], float]:
     """The products (A^T C)^T N^-1 (A^T C), also with A^T v on one and both sides, by the full design matrix."""
     free = free_elements(o)
-    a = np.asarray(_design(unknowns, o, on_device(free.chunks.astype(np.int32)), optimised=False))[: free.number]
+    a = np.asarray(_design(unknowns, o, free.chunks.astype(np.int32), optimised=False))[: free.number]
     a = a / np.linalg.norm(a, axis=1)[:, None]
     # by an orthogonal basis: for hardly determined unknowns the normal equations have no factor
     orthogonal, factor = np.linalg.qr(a.T)
@@ -121,7 +121,7 @@ def _explained_by_elimination(
     centres = np.asarray(block.exterior.projection_centre)
     plan = planned(block.structure, block.groups, centres, 1)
     padded = [np.pad(x, [(0, grid_size(len(x)) - len(x)), *[(0, 0)] * (x.ndim - 1)]) for x in products]
-    rows = jax.tree.map(on_device, ordered_vectors(plan, block.structure, BlockVectors(*padded)))
+    rows = ordered_vectors(plan, block.structure, BlockVectors(*padded))
     optimised = len(block.structure.ray_image) >= RAYS_FOR_OPTIMISATION
     found = _explained(to_elimination_order(plan, unknowns), problem(plan, centred), rows, optimised=optimised)
     count = len(products[0])
@@ -182,7 +182,7 @@ class _ImagePointEffects(NamedTuple):
 def _image_point_effects(block: Block, unknowns: Unknowns, o: Observations) -> _ImagePointEffects:
     s = block.structure
     down = s.rays_downward
-    upward = on_device(np.stack([np.ones(len(down)), np.where(down, -1.0, 1.0)]))
+    upward = np.stack([np.ones(len(down)), np.where(down, -1.0, 1.0)])
     optimised = len(s.ray_image) >= RAYS_FOR_OPTIMISATION
     return _ImagePointEffects(-np.asarray(_changes_by_image_points(unknowns, o, upward, optimised=optimised)))
 
@@ -230,7 +230,7 @@ def _fixed_effects(block: Block, unknowns: Unknowns, o: Observations) -> _FixedE
             owner = np.where((points >= 0).sum(0) == 1, points.max(0), -1)
         owners.append(np.repeat(owner, g.observed.shape[1]))
     optimised = len(s.ray_image) >= RAYS_FOR_OPTIMISATION
-    changes = _changes_by_points(unknowns, o, on_device(fixed), optimised=optimised)
+    changes = _changes_by_points(unknowns, o, fixed, optimised=optimised)
     return _FixedEffects(np.asarray(changes), np.concatenate(owners))
 
 
@@ -257,16 +257,14 @@ def _transposed_products(
     chosen = np.zeros(grid_size(len(touched)), np.int32)
     chosen[: len(touched)] = touched
     used = np.arange(len(chosen)) < len(touched)
-    few = eqx.tree_at(
+    few = tree_with(
         lambda x: (x.ray_image, x.ray_point, x.coordinates, x.weights),
         o,
-        on_device(
-            (
-                np.asarray(o.ray_image)[chosen],
-                np.asarray(o.ray_point)[chosen],
-                np.asarray(o.coordinates)[:, chosen],
-                np.asarray(o.weights)[:, chosen] * used,
-            )
+        (
+            np.asarray(o.ray_image)[chosen],
+            np.asarray(o.ray_point)[chosen],
+            np.asarray(o.coordinates)[:, chosen],
+            np.asarray(o.weights)[:, chosen] * used,
         ),
     )
     observations, count = c.get_shape()
@@ -275,7 +273,7 @@ def _transposed_products(
     kept = np.asarray(c.tocsr()[rows].todense()).T
     columns[:count, : 2 * len(touched)] = kept[:, : 2 * len(touched)]
     columns[:count, 2 * len(chosen) :] = kept[:, 2 * len(touched) :]
-    found = _transposed(unknowns, few, on_device(columns), optimised=rays >= RAYS_FOR_OPTIMISATION)
+    found = _transposed(unknowns, few, columns, optimised=rays >= RAYS_FOR_OPTIMISATION)
     exterior, interior, parameters, points = (np.asarray(part)[:count] for part in found)
     return exterior.transpose(0, 2, 1), interior.transpose(0, 2, 1), parameters, points.transpose(0, 2, 1)
 

@@ -12,13 +12,11 @@ v are residuals over their sigmas, s their scale, 1.48 times the median of |v|, 
 from collections.abc import Sequence
 from typing import NamedTuple
 
-import equinox as eqx
 import numpy as np
 from jaxtyping import Float
 
 from jaxbundle.block.block import Block
-from jaxbundle.block.changes import with_sigmas_multiplied
-from jaxbundle.numerics.host import on_device
+from jaxbundle.block.changes import with_sigmas_multiplied, with_unknowns_of
 from jaxbundle.solve.adjustment import Adjustment
 from jaxbundle.solve.attempt import attempt
 
@@ -51,16 +49,6 @@ def robust_point(adjustment: Adjustment) -> RobustPoint | None:
         residuals = tuple(np.asarray(v) / w for v, w in zip(again.weighted_residuals, roots, strict=True))
         block = again.block
     return RobustPoint(with_unknowns_of(given, block), residuals)
-
-
-def with_unknowns_of(block: Block, other: Block) -> Block:
-    """The observations and fixed coordinates of a block with the unknowns of another one of the same structure."""
-    points = np.where(block.structure.point_free, np.asarray(other.object_points), np.asarray(block.object_points))
-    return eqx.tree_at(
-        lambda b: (b.exterior, b.interior, b.parameters, b.object_points),
-        block,
-        (other.exterior, other.interior, other.parameters, on_device(points)),
-    )
 
 
 def _weights(residuals: Sequence[np.ndarray], redescending: bool) -> Members:

@@ -9,21 +9,21 @@ import dataclasses
 from collections.abc import Iterator, Sequence
 from typing import NamedTuple
 
-import equinox as eqx
 import numpy as np
 from jaxtyping import Float
 from scipy.special import fdtri, ncfdtrinc
 
 from jaxbundle.block.block import Block
+from jaxbundle.block.changes import with_unknowns_of
 from jaxbundle.block.findings import Subject
-from jaxbundle.numerics.host import on_device
+from jaxbundle.numerics.host import tree_with
 from jaxbundle.solve.adjustment import Adjustment, Status
 from jaxbundle.solve.attempt import attempt
 from jaxbundle.statistics.error_columns import FIXED, MAX_DENSE, ErrorColumn, ErrorTests, error_tests
 from jaxbundle.statistics.hypotheses import Cause, Hypotheses, Hypothesis
 from jaxbundle.statistics.possible_errors import computed_values, possible_errors
 from jaxbundle.statistics.reliability_tables import POWER, critical_w, level_of_one, redundancy_numbers
-from jaxbundle.statistics.robust_start import robust_point, with_unknowns_of
+from jaxbundle.statistics.robust_start import robust_point
 from jaxbundle.statistics.selection import CONTROLLED, Selection
 
 LEVEL = 0.05  # probability that any good observation is suspected
@@ -345,8 +345,8 @@ def with_errors_removed(block: Block, errors: Sequence[tuple[ErrorColumn, float]
             np.subtract.at(rays, (column.member, column.component), up * change)
         else:
             np.subtract.at(tables[column.table - 1], (column.member, column.component), change)
-    return eqx.tree_at(
+    return tree_with(
         lambda b: (b.rays.coordinates, b.object_points, *(b.groups[k].values for k in range(len(tables)))),
         block,
-        on_device((rays, points, *tables)),
+        (rays, points, *tables),
     )

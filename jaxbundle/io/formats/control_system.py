@@ -15,7 +15,7 @@ from jaxbundle.block.findings import Finding, Kind, Severity
 from jaxbundle.geometry.similarity import Similarity, similarity
 from jaxbundle.io.formats import rotations
 from jaxbundle.io.formats.foreign_block import ForeignBlock, Known
-from jaxbundle.numerics.host import on_device, on_host
+from jaxbundle.numerics.host import on_device, on_host, tree_with
 
 LEAST = 3  # points that determine a similarity
 FLAT = 1e-6  # ratio of singular values: below this the points lie on a line
@@ -97,4 +97,4 @@ def at_control(block: Block, foreign: ForeignBlock) -> Block:
     for row in foreign.control:
         k = position[row.name]
         points[k] = np.where(held[k], row.coordinates, points[k])
-    return eqx.tree_at(lambda b: b.object_points, block, on_device(points))
+    return tree_with(lambda b: b.object_points, block, points)
