@@ -2,8 +2,6 @@
 
 import math
 
-import equinox as eqx
-import jax.numpy as jnp
 import numpy as np
 from jaxtyping import Array, Bool, Float
 
@@ -20,6 +18,7 @@ from jaxbundle.block.block import (
 )
 from jaxbundle.block.observation_kinds import CONTROL, ObservationGroup, observation_group
 from jaxbundle.geometry.rotation import OMEGA_PHI_KAPPA
+from jaxbundle.numerics.host import on_device, tree_with
 from jaxbundle.planning.drawn_flight import Incidence, Scene
 from jaxbundle.planning.flight import SCATTER, AerialCamera, FlightPlan
 from jaxbundle.planning.navigation_errors import Observed
@@ -81,16 +80,17 @@ def block_of(
     navigation: Observed,
 ) -> Block:
     """The block at its true values, observations without errors."""
-    check = scene.points[structure.check_point]
+    check, interior = scene.points[structure.check_point], np.array([list(plan.camera.interior().values())], float)
+    sigmas = np.full(coordinates.shape, plan.sigma, float)
     return Block(
         structure,
-        ExteriorOrientation(jnp.asarray(scene.centres), jnp.asarray(scene.angles)),
-        InteriorOrientation(jnp.array([list(plan.camera.interior().values())])),
-        jnp.asarray(scene.points),
-        Rays(jnp.asarray(coordinates), jnp.full(coordinates.shape, plan.sigma)),
+        ExteriorOrientation(*on_device((scene.centres, scene.angles))),
+        InteriorOrientation(on_device(interior)),
+        on_device(scene.points),
+        Rays(*on_device((coordinates, sigmas))),
         (*_control(scene), *navigation.groups),
-        CheckPoints(jnp.asarray(check), jnp.zeros(check.shape)),
-        jnp.asarray(navigation.values),
+        CheckPoints(*on_device((check, np.zeros(check.shape)))),
+        on_device(navigation.values),
     )
 
 
@@ -107,15 +107,16 @@ def _control(scene: Scene) -> tuple[ObservationGroup, ...]:
 def with_errors(truth: Block, noise: float, rng: np.random.Generator) -> Block:
     """The block with normal errors of all observations."""
 
-    def measured(values: Array, sigmas: Array, observed: Bool[np.ndarray, "..."] | bool) -> Array:
-        return values + jnp.where(observed, noise * sigmas * rng.standard_normal(values.shape), 0.0)
+    def measured(values: Array, sigmas: Array, observed: Bool[np.ndarray, "..."] | bool) -> np.ndarray:
+        errors = noise * np.asarray(sigmas) * rng.standard_normal(values.shape)
+        return np.asarray(values) + np.where(observed, errors, 0.0)
 
     rays = measured(truth.rays.coordinates, truth.rays.sigmas, True)
     groups = tuple(
-        eqx.tree_at(lambda g: g.values, group, measured(group.values, group.sigmas, group.structure.observed))
+        tree_with(lambda g: g.values, group, measured(group.values, group.sigmas, group.structure.observed))
         for group in truth.groups
     )
-    return eqx.tree_at(lambda b: (b.rays.coordinates, b.groups), truth, (rays, groups))
+    return tree_with(lambda b: (b.rays.coordinates, b.groups), truth, (rays, groups))
 
 
 def with_gross_errors(block: Block, plan: FlightPlan, rng: np.random.Generator) -> tuple[Block, np.ndarray]:
@@ -127,7 +128,7 @@ def with_gross_errors(block: Block, plan: FlightPlan, rng: np.random.Generator) 
     errors = np.zeros(block.rays.coordinates.shape)
     sign, component = rng.choice([-1.0, 1.0], count), rng.integers(0, 2, count)
     errors[rays, component] = sign * plan.gross_errors.size * plan.sigma
-    return eqx.tree_at(lambda b: b.rays.coordinates, block, block.rays.coordinates + errors), rays
+    return tree_with(lambda b: b.rays.coordinates, block, np.asarray(block.rays.coordinates) + errors), rays
 
 
 def with_approximations(block: Block, plan: FlightPlan, rng: np.random.Generator) -> Block:
@@ -139,16 +140,18 @@ def with_approximations(block: Block, plan: FlightPlan, rng: np.random.Generator
     interior = [
         start.get(element, 0.0) if element in camera.estimate else value for element, value in camera.given().items()
     ]
-    return eqx.tree_at(
-        lambda b: (b.exterior, b.interior.elements, b.object_points, b.parameters),
+    centres, angles, own_points, parameters = (
+        np.asarray(x)
+        for x in (block.exterior.projection_centre, block.exterior.angles, block.object_points, block.parameters)
+    )
+    return tree_with(
+        lambda b: (b.exterior.projection_centre, b.exterior.angles, b.interior.elements, b.object_points, b.parameters),
         block,
         (
-            ExteriorOrientation(
-                block.exterior.projection_centre + size * rough[:, :3],
-                block.exterior.angles + ROUGH_ANGLE * rough[:, 3:],
-            ),
-            jnp.array([interior]),
-            block.object_points + points,
-            jnp.where(structure.parameter_free, 0.0, block.parameters),
+            centres + size * rough[:, :3],
+            angles + ROUGH_ANGLE * rough[:, 3:],
+            np.array([interior], float),
+            own_points + points,
+            np.where(structure.parameter_free, 0.0, parameters),
         ),
     )

@@ -4,10 +4,9 @@ import dataclasses
 import importlib
 from collections.abc import Callable
 from pathlib import Path
-from typing import Literal, NamedTuple, Unpack
+from typing import Any, Literal, NamedTuple, Unpack
 
 import jax
-import jax.numpy as jnp
 import numpy as np
 import optimistix as optx
 from jax.custom_batching import sequential_vmap
@@ -27,7 +26,7 @@ from jaxbundle.normals.plan.known_plans import planned
 from jaxbundle.normals.problem import OrderedUnknowns
 from jaxbundle.normals.step import placed
 from jaxbundle.numerics.compilation import RAYS_FOR_OPTIMISATION
-from jaxbundle.numerics.host import constant, on_device, on_host
+from jaxbundle.numerics.host import constant, on_device, on_host, on_host_or_traced
 from jaxbundle.solve import levenberg_marquardt as solver
 from jaxbundle.solve.adjustment import Adjustment, Iterations, Status
 from jaxbundle.solve.answer import Ended, adjustment
@@ -336,9 +335,14 @@ def _entry(state: State, accepted: bool) -> HistoryEntry:
 
 
 def _iterations(state: State, status: Array, history: History) -> Iterations:
-    step = jnp.where(state.used_damping == 0, state.step, 0.0)
     costs = state.initial_cost, state.cost
-    return Iterations(status, state.trials, state.accepted, *costs, state.measure, step, history)
+    return Iterations(status, state.trials, state.accepted, *costs, state.measure, _undamped_step(state), history)
+
+
+@on_host_or_traced
+def _undamped_step(xp: Any, state: State) -> Any:
+    """The length of the last step; 0 if it was damped."""
+    return xp.where(state.used_damping == 0, state.step, 0.0)
 
 
 def _progress(block: Block, state: State, accepted: bool) -> Progress:

@@ -33,7 +33,7 @@ from jaxbundle.normals.cost import weighted_residuals
 from jaxbundle.normals.problem import OrderedUnknowns, Problem
 from jaxbundle.normals.step import trial_step
 from jaxbundle.numerics.compilation import Compiled
-from jaxbundle.numerics.host import on_device
+from jaxbundle.numerics.host import on_device, on_host_or_traced
 from jaxbundle.solve.damping import AbstractDamping, DampingState
 from jaxbundle.solve.history import History, empty_history, entry
 from jaxbundle.solve.stopping_rules import AbstractStoppingRule, StepTaken
@@ -163,9 +163,10 @@ class BundleSolver(optx.AbstractLeastSquaresSolver[OrderedUnknowns, Any, Any, St
         return y, aux, {name: getattr(state, name) for name in numbers}
 
 
-def is_flat(steepness: Array, cost: Array, noise: Array, tolerance: Array | float) -> Bool[Array, ""]:
+@on_host_or_traced
+def is_flat(xp: Any, steepness: Any, cost: Any, noise: Any, tolerance: Any) -> Any:
     """Whether the gradient vanishes: max |J_k^T P v| / |J_k| compared with |v| and its rounding, from v^T P v / 2."""
-    return steepness <= tolerance * jnp.sqrt(2 * cost) + jnp.sqrt(2 * noise)
+    return steepness <= tolerance * xp.sqrt(2 * cost) + xp.sqrt(2 * noise)
 
 
 @Compiled

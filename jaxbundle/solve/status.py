@@ -1,10 +1,11 @@
 """The status of an adjustment: the end of its iterations."""
 
 from enum import IntEnum
+from typing import Any
 
-import jax.numpy as jnp
 import optimistix as optx
-from jaxtyping import Array, Int
+
+from jaxbundle.numerics.host import on_host_or_traced
 
 
 class Status(IntEnum):
@@ -49,9 +50,10 @@ OF_RESULTS = (
 )
 
 
-def status_of(result: optx.RESULTS) -> Int[Array, ""]:
+@on_host_or_traced
+def status_of(xp: Any, result: optx.RESULTS) -> Any:
     """The status for a result of optimistix; any other failure means "diverged"."""
-    status = jnp.asarray(int(Status.DIVERGED))
+    status = xp.asarray(int(Status.DIVERGED))
     for known, number in OF_RESULTS:
-        status = jnp.where(result == known, int(number), status)
+        status = xp.where(result == known, int(number), status)
     return status

@@ -323,7 +323,8 @@ class _Collection:
             return {n: (c, float(v)) for n, c, v in zip(h.components, h.columns, values, strict=True)}
         values = {}
         for table, member in h.members:
-            given = self.block.object_points[member] if table == FIXED else self.block.groups[table - 1].values[member]
+            given = self.block.object_points if table == FIXED else self.block.groups[table - 1].values
+            given = np.asarray(given)[member]
             for component, column in self.at[table, member].items():
                 values["XYZ"[component]] = column, float(given[component])
         return values
