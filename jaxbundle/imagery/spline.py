@@ -65,10 +65,10 @@ def value(spline: Float[Array, "row column"], x: Float[Array, "..."], y: Float[A
 def bilinear(window: Float[Array, "row column"], x: Float[Array, "..."], y: Float[Array, "..."]) -> Float[Array, "..."]:
     """Grey values by bilinear interpolation of the pixels, only for comparison: it biases matches."""
     rows, columns = window.shape
-    j = lax.stop_gradient(jnp.clip(jnp.floor(x - 0.5), 0, columns - 2)).astype(jnp.int32)
-    i = lax.stop_gradient(jnp.clip(jnp.floor(y - 0.5), 0, rows - 2)).astype(jnp.int32)
-    tx, ty = x - 0.5 - j, y - 0.5 - i
-    flat, first = window.ravel(), i * columns + j
+    left = lax.stop_gradient(jnp.clip(jnp.floor(x - 0.5), 0, columns - 2))
+    top = lax.stop_gradient(jnp.clip(jnp.floor(y - 0.5), 0, rows - 2))
+    tx, ty = x - 0.5 - left, y - 0.5 - top
+    flat, first = window.ravel(), top.astype(jnp.int32) * columns + left.astype(jnp.int32)
     upper = (1 - tx) * flat[first] + tx * flat[first + 1]
     lower = (1 - tx) * flat[first + columns] + tx * flat[first + columns + 1]
     return (1 - ty) * upper + ty * lower

@@ -156,7 +156,7 @@ def sigmas_of_all(templates, searched, references, found):
         pair = Pair(template, searched, reference, p[:6])
         normals, _, total = normal_equations(p, pair, spline.coefficients(searched), False)
         scale = 1 / jnp.sqrt(jnp.diagonal(normals))
-        cofactors = jnp.diagonal(jnp.linalg.inv(normals * scale[:, None] * scale))
+        cofactors = jnp.diagonal(jnp.linalg.inv(normals * scale[:, None] * scale[None]))
         return scale * jnp.sqrt(total / (template.size - 8) * cofactors)
 
     a = np.asarray(found.affine)
