@@ -30,6 +30,7 @@ Convention = Literal["dependent", "independent"]
 SELECTIONS, SELECTION_STEPS, FINAL_STEPS = 3, 5, 20
 SETTLED = 1e-7  # rad: limit of the last step; the next one would be of the order of its square
 ALIKE = 1.2  # ratio of the costs of two orientations that cannot be distinguished
+EXACT = 1e-12  # cost of an orientation that fits exactly: parallaxes of some millionths of their sigmas are rounding
 MIN_SHARE = 0.25  # minimum share of the points in addition to five: fewer may fit by chance
 UNDETERMINED = 1e-12  # ratio of minimum and maximum eigenvalue of the normal equations with a unit diagonal
 
@@ -100,9 +101,9 @@ class RelativeOrientation(eqx.Module):
 
     @property
     def ambiguous(self) -> Bool[Array, "*pair"]:
-        """Whether another orientation has a similar cost."""
+        """Whether another orientation has a similar cost; without redundancy, whether it fits exactly too."""
         variance = jnp.where(jnp.isnan(self.sigma0), 0.0, jnp.minimum(self.sigma0**2, 1.0))
-        return self.costs[..., 1] <= ALIKE * self.costs[..., 0] + variance
+        return self.costs[..., 1] <= ALIKE * self.costs[..., 0] + jnp.maximum(variance, EXACT)
 
     @property
     def words(self) -> str:

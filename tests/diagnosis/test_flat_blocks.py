@@ -11,13 +11,17 @@ pytestmark = pytest.mark.thorough
 
 
 def test_a_principal_distance_over_flat_ground_is_not_trusted():
-    """Exactly vertical images of a plane: principal distance and flying height are one unknown."""
+    """Exactly vertical images of a plane: principal distance and flying height are one unknown.
+
+    Rounding decides whether the solve ends on the way along it or at an undetermined minimum.
+    """
     camera = AerialCamera(estimate=("principal_distance",))
     simulated = jb.simulate(2, 3, camera=camera, relief=0.0, tilt=0.0, points_per_image=30, control_rows=2, seed=1)
     result = jb.adjust(simulated.block)
     assert not result.trustworthy
     named = [f for f in jb.findings(result, simulated.block) if f.severity is Severity.FAILED]
-    assert [f.subjects[0].component for f in named if f.kind is Kind.WEAK] == ["principal_distance"]
+    assert {f.kind for f in named} <= {Kind.WEAK, Kind.UNDETERMINED, Kind.NOT_CONVERGED}
+    assert "principal_distance" in {subject.component for f in named for subject in f.subjects}
     deviation = float(result.standard_deviations.interior[0, 0])
     assert not deviation < abs(float(result.block.interior.elements[0, 0]))
 

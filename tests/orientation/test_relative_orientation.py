@@ -191,13 +191,16 @@ def test_published_translation_of_a_long_lens(shared_data):
 
 @pytest.mark.thorough
 def test_five_points_have_several_orientations():
+    """All fit exactly, except for rounding, which does not choose; some have points behind a photograph."""
     several = 0
     for seed in range(6):
-        first, second, _, _ = pair(seed, points=5)
+        first, second, r, _ = pair(seed, points=5)
         found = relative_orientation(DISTORTION_FREE, INTERIOR, first, second, NOISE)
         assert np.isnan(found.sigma0) and found.ambiguous == ("another orientation" in found.words)
         several += int(found.ambiguous)
-    assert several >= 2
+        offered = [found.rotations[1], found.other_rotation] if found.ambiguous else [found.rotations[1]]
+        assert min(np.abs(rotation - r).max() for rotation in offered) < 1e-9
+    assert several >= 4
 
 
 def test_independent_elements_give_the_same_model():
