@@ -26,7 +26,7 @@ from jaxbundle.normals.plan.elimination_plan import EliminationPlan
 from jaxbundle.normals.problem import NormalVector, OrderedUnknowns, Problem, ReducedVector
 from jaxbundle.normals.reduced_system import ReducedSystem
 from jaxbundle.numerics.compilation import Compiled
-from jaxbundle.numerics.host import on_device
+from jaxbundle.numerics.host import on_device, on_host
 from jaxbundle.numerics.shapes import grid_size
 from jaxbundle.solve.free_network import similarities
 from jaxbundle.solve.similarity_findings import Gauge, gauge_findings
@@ -92,7 +92,7 @@ class Scaled(NamedTuple):
         padded[: x.shape[1]] = x.T
         vectors = ReducedVector(*on_device((padded[:, : images * d].reshape(-1, images, d), padded[:, images * d :])))
         found = _reduced_products(self.end.arranged, self.end.problem, vectors, optimised=False)
-        both = np.concatenate([np.asarray(found.images).reshape(len(padded), -1), np.asarray(found.border)], 1)
+        both = np.concatenate([on_host(found.images).reshape(len(padded), -1), on_host(found.border)], 1)
         return both[: x.shape[1]].T
 
     def matrix(self) -> Float[np.ndarray, "kept kept"]:
@@ -124,7 +124,7 @@ def undetermined(end: End, found: Inspection, converged: bool) -> Undetermined:
 def _loose_points(structure: Structure, plan: EliminationPlan, found: Inspection) -> tuple[tuple[Finding, ...], int]:
     """One finding for all points that their rays do not determine."""
     shares = np.ones(plan.order.points)
-    shares[: plan.tile_points] = np.asarray(found.point_pivots).ravel()
+    shares[: plan.tile_points] = on_host(found.point_pivots).ravel()
     names = [structure.point_names[p] for p in np.nonzero(~(shares[plan.order.point] > WEAKEST_SHARE))[0]]
     if not names:
         return (), 0
