@@ -46,8 +46,7 @@ def causes(start: Block, adjustment: Adjustment) -> tuple[Finding, ...]:
     `start`: the block before the adjustment. No cause is searched for after a successful adjustment.
     """
     ended_well = adjustment.status is Status.CONVERGED and float(adjustment.sigma0) <= ABSURD
-    looked_at = start.concrete and start.structure.model.photographs
-    if ended_well or not looked_at or adjustment.status is Status.INTERRUPTED:
+    if ended_well or not start.structure.model.photographs or adjustment.status is Status.INTERRUPTED:
         return ()
     with np.errstate(all="ignore"):
         found = (*_extreme_sigmas(start), *_wrong_control(start, adjustment))

@@ -28,7 +28,7 @@ def plausibility(block: Block) -> tuple[Finding, ...]:
         >>> jb.blocks.plausibility(block)
         ()
     """
-    return prepared(block)[1] if block.concrete else ()
+    return prepared(block)[1]
 
 
 def prepared(block: Block) -> tuple[Block, tuple[Finding, ...]]:

@@ -26,6 +26,7 @@ REDUCED = {
     "panels": "sparse Cholesky factorisation in panels of images",
     "pcg": f"preconditioned conjugate gradients to {TOLERANCE:.0e} of the right-hand side",
 }
+UNKNOWN = "traced, or many adjustments"  # shown in place of numbers
 DOWN_WEIGHTED = 0.5  # rays with a smaller robust weight are listed
 
 
@@ -118,17 +119,22 @@ class Adjustment(eqx.Module):
         static=True, default=0
     )  # directions of the unknowns without effect on the residuals
 
+    @property
+    def _is_one(self) -> bool:
+        """Whether its values are known, and those of one adjustment."""
+        return is_concrete(self) and not np.ndim(self.iterations.status)
+
     def __repr__(self) -> str:
         structure = self.block.structure
         counts = f"{counted(len(structure.image_names), 'image')}, {counted(len(structure.point_names), 'point')}"
-        how = f"{self.status.words}, sigma0 {float(self.sigma0):.4g}" if is_concrete(self) else "traced"
+        how = f"{self.status.words}, sigma0 {float(self.sigma0):.4g}" if self._is_one else UNKNOWN
         return f"<Adjustment {structure.name or '(unnamed)'}: {how}, {counts}>"
 
     def _repr_html_(self) -> str:
         structure = self.block.structure
         title = f"Adjustment {structure.name or '(unnamed)'}"
-        if not is_concrete(self) or np.ndim(self.iterations.status):
-            return result_html(title, [("status", "traced, or many adjustments")], ())
+        if not self._is_one:
+            return result_html(title, [("status", UNKNOWN)], ())
         counts = counted(len(structure.image_names), "image"), counted(len(structure.point_names), "point")
         rows = [
             ("verdict", self.verdict),

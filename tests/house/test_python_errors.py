@@ -197,4 +197,5 @@ def test_blocks_and_results_are_shown_in_one_line(block, result):
     assert repr(result).endswith(f", {images} images, {points} points>")
     seen = []
     jax.jit(lambda a: seen.append(repr(a)))(result)
-    assert seen == [f"<Adjustment 2 x 4 images: traced, {images} images, {points} points>"]
+    assert seen == [f"<Adjustment 2 x 4 images: traced, or many adjustments, {images} images, {points} points>"]
+    assert repr(jax.tree.map(lambda x: jnp.stack([x, x]), result)) == seen[0]
