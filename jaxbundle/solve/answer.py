@@ -13,7 +13,7 @@ from jaxtyping import Array, Float
 
 from jaxbundle.block.block import Block, Structure
 from jaxbundle.block.datum_precision import weak_datum
-from jaxbundle.block.unknowns import Unknowns, angle_derivatives, angles_near
+from jaxbundle.block.unknowns import angle_derivatives, angles_near
 from jaxbundle.normals.cofactors import Cofactors, cofactors
 from jaxbundle.normals.cost import ray_arrays, rounding_noise, weighted_residuals
 from jaxbundle.normals.from_block import rays_to_block_order, spread, to_block_order
@@ -22,7 +22,7 @@ from jaxbundle.normals.plan.elimination_plan import EliminationPlan
 from jaxbundle.normals.plan.layout import EXTERIOR
 from jaxbundle.normals.problem import OrderedUnknowns, Problem
 from jaxbundle.numerics.compilation import Compiled
-from jaxbundle.numerics.host import constant, on_device, on_host, on_host_or_traced, product, selected
+from jaxbundle.numerics.host import constant, on_device, on_host, on_host_or_traced, product
 from jaxbundle.solve.adjustment import Adjustment, BlockCofactors, Iterations, Status
 from jaxbundle.solve.free_network import InnerCofactors, inner_cofactors_of
 from jaxbundle.solve.implicit_precision import with_derivatives
@@ -181,20 +181,21 @@ def _adjusted(
         exterior = b.exterior.projection_centre, b.exterior.angles
         return b.object_points, *exterior, b.interior.elements, b.parameters
 
-    new = to_block_order(plan, arranged), selected(angles.T, plan.order.image)
-    return eqx.tree_at(values, block, _new_values(block.structure, values(block), *new, origin))
+    new = to_block_order(plan, arranged), angles, plan.order.image
+    return eqx.tree_at(values, block, _new_values(block.structure, values(block), new, origin))
 
 
 @on_host_or_traced
-def _new_values(xp: Any, structure: Structure, old: tuple, new: Unknowns, angles: Any, origin: Any) -> tuple:
-    points, centre, old_angles, interior, _ = old
+def _new_values(xp: Any, structure: Structure, old: tuple, new: tuple, origin: Any) -> tuple:
+    """`old`, and the returned ones: values of the block; `new`: unknowns, angles, and the column of each image."""
+    (points, centre, old_angles, interior, _), (unknowns, angles, image) = old, new
     free = structure.exterior_free
     return (
-        xp.where(structure.point_free, new.points.T + origin[None], points),
-        xp.where(free[:, :3], new.centre.T + origin[None], centre),
-        xp.where(free[:, 3:], angles, old_angles),
-        new.interior[: interior.shape[1]].T,
-        new.parameters,
+        xp.where(structure.point_free, unknowns.points.T + origin[None], points),
+        xp.where(free[:, :3], unknowns.centre.T + origin[None], centre),
+        xp.where(free[:, 3:], angles.T[image], old_angles),
+        unknowns.interior[: interior.shape[1]].T,
+        unknowns.parameters,
     )
 
 
