@@ -50,12 +50,13 @@ def unknowns_of(block: Block) -> Unknowns:
     """The approximate values of a block as unknowns."""
     cameras = block.structure.cameras
     models = tuple(dict.fromkeys(camera.model for camera in cameras))
-    # the last element of a mixture selects the model
-    kinds = np.array([[models.index(camera.model) for camera in cameras]] if len(models) > 1 else [], float)
+    kinds = np.zeros((0, len(cameras)))
+    if len(models) > 1:  # the last element of a mixture selects the model
+        kinds = np.array([[models.index(camera.model) for camera in cameras]], float)
     others = block.interior.elements, block.parameters, block.object_points
     return Unknowns(
         _rotations(block.structure.rotation_system, block.exterior.angles),
-        *_long_axis_last(kinds.reshape(-1, len(cameras)), block.exterior.projection_centre, *others),
+        *_long_axis_last(kinds, block.exterior.projection_centre, *others),
     )
 
 

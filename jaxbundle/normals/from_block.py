@@ -78,7 +78,7 @@ def _of_block(xp: Any, o: Order, images: Unknowns, tiles: Any) -> tuple:
 
 @on_host_or_traced
 def rays_to_block_order(xp: Any, plan: EliminationPlan, components: int, values: list) -> Any:
-    """Values of the rays in the order of the block.
+    """Values of the rays in the order of the block, (ray, component).
 
     Input: one array per component and part for the cells, then one per component for the rays of border points.
     """
